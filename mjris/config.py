@@ -1,0 +1,292 @@
+"""Every parameter of a run, with its unit in its name: frozen dataclasses, presets, JSON."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
+
+T = TypeVar("T")
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class ConfigError(ValueError):
+    """A parameter has a value that is not allowed; the message is one sentence for the user."""
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class World:
+    """The office, the rover and the people."""
+
+    layout: str = "office"
+    """Name of a layout in assets/layouts, or the path of a layout file (.toml)."""
+    layout_jitter_m: NonNegative = 0.0
+    """Each cell's furniture stands up to this far from the layout's places [m]."""
+    drive: Literal["wheels", "kinematic"] = "wheels"
+    """wheels: motors and friction; kinematic: straight lines at the same speed and with the same bumper."""
+    num_users: Count = 4
+    """K, people who carry a receiver."""
+    slot_s: Positive = 1.0
+    """Length of a time slot [s]."""
+    ticks_per_slot: Count = 10
+    """How often in a slot the controller reads the bumper, drives and lets people walk."""
+    timestep_s: Annotated[float, Field(gt=0, le=0.02)] = 0.02
+    """Longest physics time step of the wheels drive [s]."""
+    max_speed_mps: Positive = 0.5
+    """v_max of the rover [m/s]."""
+    bumper_m: Annotated[float, Field(ge=0.02, le=0.5)] = 0.1
+    """The bumper feels obstacles from this distance on [m]."""
+    clearance_m: Annotated[float, Field(ge=0.02, le=1)] = 0.15
+    """People keep this distance from furniture, walls, the rover and each other [m]."""
+    walk_scale_m: NonNegative = 0.3
+    """Scale of the Rayleigh distance that a person walks in a slot [m]; its mean is 1.25 times that."""
+    user_height_m: Positive = 1.1
+    """Height of the users' receivers [m]."""
+    panel_height_m: Annotated[float, Field(ge=0.6, le=2.2)] = 1.5
+    """Height of the panel's centre [m]."""
+    pan: Literal["auto", "locked"] = "auto"
+    """auto: the mast turns the panel to the bisector of AP and users; locked: it faces the rover's front."""
+    body_blockage: bool = False
+    """Whether people's bodies block links (never the link to their own receiver)."""
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Radio:
+    """Carrier, arrays, propagation and multiple access."""
+
+    carrier_hz: Annotated[float, Field(ge=3e8, le=3e11)] = 2e9
+    """f_c [Hz]."""
+    bandwidth_hz: Positive = 1e6
+    """B, the band of one cell [Hz]."""
+    noise_dbm_per_mhz: Annotated[float, Field(ge=-200, le=50)] = -30.0
+    """Noise power density [dBm/MHz]."""
+    tx_power_dbm: Annotated[float, Field(ge=0, le=60)] = 20.0
+    """P_max, all that the AP transmits [dBm]."""
+    num_antennas: Count = 4
+    """M, antennas of the AP."""
+    panel_rows: Count = 4
+    """Rows of reflecting elements; rows times columns is N."""
+    panel_cols: Count = 4
+    """Columns of reflecting elements."""
+    element_pattern: Literal["isotropic", "cosine"] = "cosine"
+    """isotropic: the paper's; cosine: gain 2(n+1)cos^n in front of the panel, nothing behind it."""
+    element_exponent: NonNegative = 0.57
+    """n of the cosine pattern; 0.57 gives 4.97 dBi at boresight."""
+    element_amplitude: Fraction = 1.0
+    """β, the modulus of every element's reflection coefficient."""
+    rician_k_db: Annotated[float, Field(ge=-30, le=60)] = 7.0
+    """Rician K-factor of links in line of sight [dB]; blocked links are Rayleigh."""
+    fading_memory: Fraction = 0.0
+    """Correlation of the diffuse fading from slot to slot; 1 is frozen for the episode."""
+    difference_factor: Fraction = 0.0
+    """DF: diffuse fading is the same in every cell at 0, independent at 1."""
+    scheme: Literal["noma", "oma"] = "noma"
+    """Multiple access."""
+    num_clusters: Count = 2
+    """V, clusters of users."""
+    decoding_order: Literal["dynamic", "static"] = "dynamic"
+    """dynamic: by the gains of each slot; static: by those of the episode's first slot."""
+
+    @property
+    def num_elements(self) -> int:
+        """N, reflecting elements."""
+        return self.panel_rows * self.panel_cols
+
+    @property
+    def wavelength_m(self) -> float:
+        """Carrier wavelength [m]."""
+        return 299_792_458.0 / self.carrier_hz
+
+    @property
+    def tx_power_w(self) -> float:
+        """P_max [W]."""
+        return dbm_to_w(self.tx_power_dbm)
+
+    @property
+    def noise_w(self) -> float:
+        """Noise power in the whole band [W]."""
+        return dbm_to_w(self.noise_dbm_per_mhz) * self.bandwidth_hz / 1e6
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Task:
+    """What the agent sees, decides and is rewarded for."""
+
+    slots: Count = 100
+    """Slots of an episode."""
+    ris: Literal["mobile", "fixed", "none"] = "mobile"
+    """mobile: the agent drives; fixed: the rover stays where it starts; none: no RIS at all."""
+    phases: Literal["learned", "random"] = "learned"
+    """learned: from the action; random: drawn anew every slot."""
+    phase_reference: Literal["zero", "aligned"] = "zero"
+    """The phases at action zero: none, or the closed-form alignment to the observed channel."""
+    power_reference: Literal["even", "qos"] = "even"
+    """The powers at action zero: an even split, or the closed-form split that meets QoS first."""
+    observation: Literal["csi", "map"] = "csi"
+    """csi: the paper's state; map: geometry in the rover's frame and the gain map around it."""
+    reward: Literal["sum_rate", "gain"] = "sum_rate"
+    """sum_rate: the paper's; gain: minus what the same slot gives without RIS under a fixed power rule."""
+    qos_bps: NonNegative = 10e3
+    """R_QoS, the least rate of every user [bit/s]."""
+    qos_penalty: Annotated[float, Field(ge=1)] = 2.0
+    """λ: the reward is divided by this where any user misses QoS."""
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Agent:
+    """DDPG and its networks."""
+
+    network: Literal["paper", "mlp"] = "paper"
+    """paper: batch norm, 4MN ReLU, batch norm, tanh; mlp: plain ReLU layers."""
+    hidden: tuple[Count, ...] = (128, 128)
+    """Hidden layers of the mlp network."""
+    learning_rate: Positive = 3e-4
+    """α of Adam."""
+    batch_size: Annotated[int, Field(ge=2)] = 64
+    """e, transitions in a minibatch."""
+    discount: Annotated[float, Field(ge=0, le=1)] = 1.0
+    """γ; the paper's 1 is allowed."""
+    target_rate: Annotated[float, Field(gt=0, le=1)] = 0.002
+    """τ, target update rate."""
+    noise_scale: NonNegative = 0.4
+    """ξ_0, scale of the Ornstein-Uhlenbeck action noise, which decays to zero over the run."""
+    buffer_size: Count = 100_000
+    """Transitions in the replay memory."""
+    warmup_slots: Annotated[int, Field(ge=0)] = 200
+    """Slots with random actions before the first update."""
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Federation:
+    """Cells and how their agents are merged."""
+
+    num_cells: Count = 3
+    """U, cells (floors), one agent each."""
+    episodes: Count = 300
+    """Episodes of every cell."""
+    round_episodes: Count = 20
+    """F_G, episodes between two averages."""
+    averaging: bool = True
+    """Whether agents are averaged at all; without it they learn alone."""
+    workers: Annotated[int, Field(ge=0)] = 0
+    """Worker processes; 0 is one a core, 1 is this process."""
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Config:
+    """Everything that determines a run."""
+
+    world: World = World()
+    radio: Radio = Radio()
+    task: Task = Task()
+    agent: Agent = Agent()
+    federation: Federation = Federation()
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """All randomness follows from it."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Config":
+        if self.world.num_users % self.radio.num_clusters:
+            raise ValueError(
+                f"world.num_users: {self.world.num_users} is not allowed: "
+                f"it must be a multiple of radio.num_clusters, which is {self.radio.num_clusters}"
+            )
+        if self.radio.num_clusters > self.radio.num_antennas:
+            raise ValueError(
+                f"radio.num_clusters: {self.radio.num_clusters} is not allowed: zero forcing needs an antenna "
+                f"for each, and radio.num_antennas is {self.radio.num_antennas}"
+            )
+        return self
+
+    def to_json(self) -> str:
+        """The config as JSON text, ending in a newline."""
+        return _ADAPTER.dump_json(self, indent=2).decode() + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The config as nested dicts of plain values."""
+        return _ADAPTER.dump_python(self)
+
+
+_ADAPTER = TypeAdapter(Config)
+
+
+def dbm_to_w(power_dbm: float) -> float:
+    """Power in dBm to power in [W]."""
+    return 10 ** (power_dbm / 10) / 1e3
+
+
+def w_to_dbm(power_w: float) -> float:
+    """Power in [W] to power in dBm."""
+    return 10 * math.log10(power_w * 1e3)
+
+
+def describe(error: ValidationError) -> str:
+    """One sentence for a validation error: the field, its value and what is allowed."""
+    first = error.errors()[0]
+    field = ".".join(str(part) for part in first["loc"])
+    message = first["msg"].removeprefix("Value error, ")
+    if not field or message.startswith(field):
+        return message
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"{field} is not a known field"
+    if first["type"] in ("missing", "missing_argument"):
+        return f"{field} is missing"
+    return f"{field}: {first['input']!r} is not allowed: {message[0].lower()}{message[1:]}"
+
+
+def validated(build: Callable[[], T], source: str = "config") -> T:
+    """The result of `build`, with any pydantic error turned into a one-sentence `ConfigError`."""
+    try:
+        return build()
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {describe(error)}") from None
+
+
+def from_dict(data: dict[str, Any], source: str = "config") -> Config:
+    """Config from nested dicts; missing fields take their defaults. Raises `ConfigError`."""
+    return validated(lambda: _ADAPTER.validate_python(data), source)
+
+
+def load(path: Path) -> Config:
+    """Config from a JSON file. Raises `ConfigError` for a missing file, bad JSON or bad values."""
+    try:
+        text = path.read_text()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    return validated(lambda: _ADAPTER.validate_json(text), str(path))
+
+
+_PAPER = Config(radio=Radio(element_pattern="isotropic"))
+
+_OFFICE = Config(
+    world=World(drive="kinematic"),
+    task=Task(phase_reference="aligned", power_reference="qos", observation="map", reward="gain"),
+    agent=Agent(network="mlp", batch_size=128, discount=0.98, target_rate=0.005),
+    federation=Federation(episodes=100),
+)
+
+_DEMO = Config(
+    world=_OFFICE.world,
+    task=_OFFICE.task,
+    agent=_OFFICE.agent,
+    federation=Federation(episodes=30, round_episodes=5),
+)
+
+_PRESETS = {"office": _OFFICE, "paper": _PAPER, "demo": _DEMO}
+
+
+def preset(name: str) -> Config:
+    """A named config: "office" (recommended), "paper" (the paper's literal agent) or "demo" (minutes).
+
+    Raises `ConfigError` for any other name.
+    """
+    if name not in _PRESETS:
+        raise ConfigError(f"preset: {name!r} is not known: it is one of {', '.join(_PRESETS)}")
+    return _PRESETS[name]

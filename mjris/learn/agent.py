@@ -1,0 +1,131 @@
+"""The paper's DDPG agent in Stable-Baselines3: batch-normalised networks and decaying exploration noise."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3 import DDPG
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.policies import ContinuousCritic
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.td3.policies import Actor, TD3Policy
+from torch import nn
+
+from mjris.config import Agent, Config, Radio
+
+_OU_THETA = 0.15  # rate of mean reversion a slot, the value of the DDPG paper (Lillicrap et al., 2015)
+
+
+class PaperPolicy(TD3Policy):
+    """SB3's actor and critic with batch normalisation before every linear layer (paper, section V-C).
+
+    The actor is batch norm, 4MN ReLU, batch norm, tanh; the critic has the same form without the tanh. SB3 puts the
+    networks in training mode for updates only, so single observations are acted on with the running statistics.
+    """
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
+        """The actor, observation [B, D] → action [B, A]."""
+        actor = super().make_actor(features_extractor)
+        actor.mu = _batch_normalised(actor.mu)
+        return actor
+
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
+        """The critic, observation [B, D] and action [B, A] → one value [B, 1]."""
+        critic = super().make_critic(features_extractor)
+        # SB3 keeps the network twice: as a submodule, and in the plain list that its forward pass reads.
+        critic.qf0 = critic.q_networks[0] = _batch_normalised(critic.q_networks[0])
+        return critic
+
+
+def _batch_normalised(network: nn.Module) -> nn.Sequential:
+    """The layers of a sequential network with batch normalisation before every linear layer."""
+    layers: list[nn.Module] = []
+    for layer in network.children():
+        if isinstance(layer, nn.Linear):
+            layers.append(nn.BatchNorm1d(layer.in_features))
+        layers.append(layer)
+    return nn.Sequential(*layers)
+
+
+class DecayingOUNoise(ActionNoise):
+    """Ornstein-Uhlenbeck noise whose standard deviation falls linearly from ξ_0 to zero (eq. (Action)).
+
+    An episode starts from the stationary distribution, so the noise of slot t of the run is N(0, ξ_t²) in every slot,
+    and neighbouring slots of an episode have correlation e^(-θ). The decay counts the slots of the whole run: it goes
+    on over episodes and over separate calls of `learn`.
+    """
+
+    def __init__(self, size: int, scale: float, total_slots: int, rng: np.random.Generator):
+        super().__init__()
+        self._size = size
+        self._scale = scale
+        self._total_slots = total_slots
+        self._rng = rng
+        self._slot = 0
+        self._state: np.ndarray | None = None
+
+    @property
+    def scale(self) -> float:
+        """ξ_t, the standard deviation of the next sample."""
+        return self._scale * max(0.0, 1.0 - self._slot / self._total_slots)
+
+    def reset(self) -> None:
+        """Forget the episode; the next sample is independent of those before."""
+        # Nothing is drawn here: SB3 resets twice where an episode's end is a chunk's end, and both must count once.
+        self._state = None
+
+    def __call__(self) -> np.ndarray:
+        """The noise of the next slot, float32 [A]."""
+        fresh = self._rng.standard_normal(self._size)
+        if self._state is None:
+            state = fresh
+        else:
+            memory = np.exp(-_OU_THETA)
+            state = memory * self._state + np.sqrt(1.0 - memory**2) * fresh
+        noise = self.scale * state
+        self._state = state
+        self._slot += 1
+        return noise.astype(np.float32)
+
+
+def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:
+    """An untrained agent for `env`, on the CPU and with an empty logger.
+
+    The initial weights and the exploration noise follow from `rng`, which the agent keeps. SB3 draws the weights,
+    minibatches and warm-up actions from the global random generators and seeds them here.
+    """
+    assert isinstance(env.action_space, gym.spaces.Box)
+    agent = config.agent
+    model = DDPG(
+        PaperPolicy if agent.network == "paper" else TD3Policy,
+        env,
+        learning_rate=agent.learning_rate,
+        buffer_size=agent.buffer_size,
+        learning_starts=agent.warmup_slots,
+        batch_size=agent.batch_size,
+        tau=agent.target_rate,
+        gamma=agent.discount,
+        action_noise=DecayingOUNoise(
+            env.action_space.shape[0], agent.noise_scale, config.federation.episodes * config.task.slots, rng
+        ),
+        policy_kwargs={
+            "net_arch": _layers(agent, config.radio),
+            "n_critics": 1,
+            "optimizer_kwargs": {"fused": True},  # one call instead of a dozen for every small tensor
+        },
+        seed=int(rng.integers(2**32)),
+        device="cpu",
+    )
+    # Without a logger of its own, SB3 makes a temporary folder at every call of `learn`.
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    return model
+
+
+def _layers(agent: Agent, radio: Radio) -> dict[str, Any]:
+    """Widths of the hidden layers of actor (pi) and critic (qf)."""
+    if agent.network == "mlp":
+        return {"pi": list(agent.hidden), "qf": list(agent.hidden)}
+    # The paper gives 4MN for the actor and "a minor size" for the critic; half of it is our choice.
+    width = 4 * radio.num_antennas * radio.num_elements
+    return {"pi": [width], "qf": [width // 2]}

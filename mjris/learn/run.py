@@ -1,0 +1,90 @@
+"""A training run: rounds of local training and averaging, written to a run folder, and loading it again."""
+
+import csv
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict, fields
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+from stable_baselines3 import DDPG
+
+from mjris.config import Config, ConfigError, load
+from mjris.env import OfficeEnv
+from mjris.learn.agent import build_agent
+from mjris.learn.federation import EnvFactory, EpisodeMetrics, average, num_rounds
+from mjris.learn.workers import open_cells
+
+Report = Callable[[list[EpisodeMetrics]], None]
+"""Is called after every round with the metrics of its episodes."""
+
+
+def _silent(metrics: list[EpisodeMetrics]) -> None:
+    """Report nothing."""
+
+
+def train(config: Config, out: Path, *, report: Report = _silent, make_env: EnvFactory = OfficeEnv) -> None:
+    """Train all cells of `config` and write the run folder `out`.
+
+    The folder gets config.json first and, after every round, the episodes' rows in metrics.csv and
+    checkpoints/round_NNNN/cell_U.zip, which hold the averaged agents where there is averaging; tensorboard/cell_U
+    follows while training. Raises `ConfigError` where `out` exists and is not an empty folder.
+    """
+    _create(out)
+    (out / "config.json").write_text(config.to_json())
+    _write_header(out / "metrics.csv")
+    averaging = config.federation.averaging and config.federation.num_cells > 1
+    merged = None
+    with closing(open_cells(config, make_env, out / "tensorboard")) as cells:
+        for round_ in range(1, num_rounds(config) + 1):
+            results = cells.train(round_, merged)
+            if averaging:
+                merged = average([state for state, _ in results])
+            metrics = sorted((row for _, rows in results for row in rows), key=lambda row: (row.episode, row.cell))
+            _append(out / "metrics.csv", metrics)
+            # The folder appears under its name only when it is complete.
+            unfinished = out / "checkpoints" / "unfinished"
+            unfinished.mkdir(parents=True)
+            cells.save(unfinished, merged)
+            unfinished.rename(unfinished.with_name(f"round_{round_:04d}"))
+            report(metrics)
+
+
+def load_policy(run_dir: Path, cell: int = 0, *, make_env: EnvFactory = OfficeEnv) -> DDPG:
+    """The agent of a cell from the last checkpoint of a run folder, with an environment of that cell.
+
+    Built from the run's config.json and then given the checkpoint's parameters. Raises `ConfigError` for a folder
+    without config or checkpoint, an unknown cell, or a checkpoint that does not fit the config.
+    """
+    if not run_dir.is_dir():
+        raise ConfigError(f"run folder: {run_dir} does not exist")
+    config = load(run_dir / "config.json")
+    if not 0 <= cell < config.federation.num_cells:
+        raise ConfigError(f"cell: {cell} is not allowed: {run_dir} has cells 0 to {config.federation.num_cells - 1}")
+    checkpoints = (run_dir / "checkpoints").glob(f"round_*/cell_{cell}.zip")
+    last = max(checkpoints, key=lambda path: int(path.parent.name.removeprefix("round_")), default=None)
+    if last is None:
+        raise ConfigError(f"run folder: {run_dir} has no checkpoint of cell {cell}")
+    agent = build_agent(config, make_env(config, cell), np.random.default_rng(config.seed))
+    try:
+        agent.set_parameters(str(last), device="cpu")
+    except (ValueError, RuntimeError, BadZipFile):
+        raise ConfigError(f"{last}: is damaged or does not fit {run_dir / 'config.json'}") from None
+    return agent
+
+
+def _create(out: Path) -> None:
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise ConfigError(f"out: {out} is not allowed: it exists already, and a run needs a new or empty folder")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def _write_header(path: Path) -> None:
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerow(field.name for field in fields(EpisodeMetrics))
+
+
+def _append(path: Path, metrics: list[EpisodeMetrics]) -> None:
+    with path.open("a", newline="") as file:
+        csv.writer(file).writerows(asdict(row).values() for row in metrics)

@@ -1,0 +1,103 @@
+"""From actions to phases and powers, and the closed forms that serve as their references."""
+
+import math
+
+from array_api_compat import array_namespace, device
+
+from mjris.radio.access import arranged, decodable_gains, effective_gains, later_users, partition, resolve_order
+from mjris.radio.channel import Channels, effective_channel
+from mjris.radio.propagation import Array
+
+
+def aligned_phases(channels: Channels, weights: Array | None = None, iterations: int = 3) -> Array:
+    """Phases [..., N] [rad] that raise the channel gain Σ_k w_k ‖h_k‖², with `weights` [..., K] >= 0, or None for one.
+
+    Aligned to the direct channel at first, which is optimal for one user and one antenna: (|h_d| + Σ_n |h_n g_n|)².
+    Then every iteration aligns all elements to the whole channel. The gain is a convex function of the reflection
+    coefficients φ and this maximises its tangent over |φ_n| = 1, so that it never falls. A modulus other than one
+    belongs into `channels.reflected`.
+    """
+    xp = array_namespace(*channels)
+    response = xp.ones_like(channels.incident[..., 0])
+    response = _aligned_response(channels, channels.direct, weights, response)
+    for _ in range(iterations):
+        response = _aligned_response(channels, effective_channel(channels, response), weights, response)
+    return xp.atan2(xp.imag(response), xp.real(response))
+
+
+def split_powers(shares: Array, clusters: Array, scheme: str, tx_power_w: float) -> Array:
+    """Powers of the users [..., K] [W] for `shares` [..., K] in [0, 1] of what they may have, in all P at most.
+
+    "noma": a cluster has P/V, and shares that add up to more than one are scaled down to it, eq. (OPPE); "oma": a user
+    has P/K. `clusters` are int [V, K/V]. Raises `ValueError` for another scheme and for clusters that do not hold
+    every user once.
+    """
+    xp = array_namespace(shares)
+    clusters = partition(clusters, shares.shape[-1], shares)
+    if _is_oma(scheme):
+        return tx_power_w / shares.shape[-1] * shares
+    in_cluster = arranged(shares, clusters)
+    asked = xp.sum(in_cluster, axis=-1, keepdims=True)
+    powers = tx_power_w / clusters.shape[0] * in_cluster / xp.where(asked > 1, asked, 1.0)
+    return xp.take(xp.reshape(powers, shares.shape), xp.argsort(xp.reshape(clusters, (-1,))), axis=-1)
+
+
+def qos_first_powers(
+    channel: Array,
+    clusters: Array,
+    scheme: str,
+    tx_power_w: float,
+    bandwidth_hz: float,
+    noise_w: float,
+    qos_bps: float,
+    order: Array | None = None,
+) -> Array:
+    """Powers of the users [..., K] [W] with the highest sum rate where every user has `qos_bps`, in closed form.
+
+    "noma": every cluster spends P/V. In decoding order a user gets just what its QoS takes, t/(1+t) (P_left + 1/e)
+    with t = 2^(R/B) - 1 and the effective gain e, or what is left where that is not enough; the last one gets the
+    rest. "oma": every user has P/K. Other arguments and errors as in `noma_rates` and `split_powers`.
+    """
+    xp = array_namespace(channel)
+    num_users = channel.shape[-2]
+    clusters = partition(clusters, num_users, channel)
+    if _is_oma(scheme):
+        return xp.full(channel.shape[:-1], tx_power_w / num_users, dtype=xp.float64, device=device(channel))
+    num_clusters, size = clusters.shape
+    budgets = xp.full((num_clusters,), tx_power_w / num_clusters, dtype=xp.float64, device=device(channel))
+    gains = effective_gains(channel, budgets, clusters, noise_w)
+    resolved = resolve_order(gains, clusters, order)
+    gains = decodable_gains(gains, later_users(resolved))
+    sequence = xp.broadcast_to(xp.reshape(resolved, (*resolved.shape[:-2], num_users)), gains.shape)
+    gains = xp.reshape(xp.take_along_axis(gains, sequence, axis=-1), (*gains.shape[:-1], num_clusters, size))
+    # t/(1+t) = 1 - 2^(-R/B), a hair above it so that rounding never leaves a rate below its QoS.
+    needed = -math.expm1(-math.log(2) * qos_bps / bandwidth_hz) * (1 + 1e-12)
+    left = xp.broadcast_to(budgets, gains.shape[:-1])
+    powers = []
+    for position in range(size - 1):
+        power = xp.minimum(needed * (left + 1 / gains[..., position]), left)
+        left = left - power
+        powers.append(power)
+    powers = xp.reshape(xp.stack([*powers, left], axis=-1), sequence.shape)
+    return xp.take_along_axis(powers, xp.argsort(sequence, axis=-1), axis=-1)
+
+
+def _aligned_response(channels: Channels, channel: Array, weights: Array | None, response: Array) -> Array:
+    """Coefficients [..., N] aligned to `channel` [..., K, M]: φ_n = exp(-j angle Σ_km w_k conj(h_km) c_knm).
+
+    c is the cascade. An element that reaches no user keeps its coefficient in `response`.
+    """
+    xp = array_namespace(channel)
+    towards = xp.conj(channel)
+    if weights is not None:
+        towards = weights[..., :, None] * towards
+    pull = xp.sum(channels.reflected * (towards @ xp.matrix_transpose(channels.incident)), axis=-2)
+    modulus = xp.abs(pull)
+    return xp.where(modulus > 0, xp.conj(pull) / xp.where(modulus > 0, modulus, 1.0), response)
+
+
+def _is_oma(scheme: str) -> bool:
+    """Whether the scheme is OMA. Raises `ValueError` for one that is neither that nor NOMA."""
+    if scheme not in ("noma", "oma"):
+        raise ValueError(f"scheme: {scheme!r} is not known: it is one of noma, oma")
+    return scheme == "oma"

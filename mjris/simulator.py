@@ -1,0 +1,261 @@
+"""The simulator: E cells stepped together once a slot, from motion over sight and channels to rates."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.config import Config
+from mjris.radio import access, channel, control, propagation
+from mjris.world.layout import load_layout
+from mjris.world.world import World
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a slot begins with, in E cells with K users; links are AP–users, RIS–users, AP–RIS."""
+
+    rover_xy: FloatArray
+    """[E, 2] [m]"""
+    rover_heading: FloatArray
+    """[E] [rad]"""
+    panel_heading: FloatArray
+    """[E] [rad]"""
+    users_xy: FloatArray
+    """[E, K, 2] [m]"""
+    blockers: IntArray
+    """Obstacles on every link [E, 2K + 1]."""
+    path_loss_db: FloatArray
+    """Of every link [E, 2K + 1] [dB]."""
+    channels: channel.Channels
+    """h_d [E, K, M], G [E, N, M], h_r [E, K, N]."""
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What a slot gave, and the scene that the next one begins with."""
+
+    rates_bps: FloatArray
+    """[E, K] [bit/s]"""
+    qos_met: NDArray[np.bool_]
+    """[E, K]"""
+    bare_rates_bps: FloatArray
+    """What the same slot gives without RIS under the QoS-first powers [E, K] [bit/s]."""
+    displacement_m: FloatArray
+    """How far each rover got [E, 2] [m]."""
+    clearance_m: FloatArray
+    """Smallest distance between the hull and anything in the slot [E] [m]."""
+    collisions: IntArray
+    """Penetrating contacts seen in the slot [E]."""
+    scene: Scene
+
+
+class _Streams(NamedTuple):
+    """Random generators of one cell: its own, and its copy of the one that all cells share."""
+
+    own: np.random.Generator
+    shared: np.random.Generator
+
+
+class Simulator:
+    """E cells of one config. Cell e is number `first_cell + e` of the run, and random streams follow from that number."""
+
+    def __init__(self, config: Config, num_cells: int = 1, first_cell: int = 0):
+        self.config = config
+        self.num_cells = num_cells
+        self._numbers = [first_cell + e for e in range(num_cells)]
+        furniture = [np.random.default_rng([config.seed, number, 1]) for number in self._numbers]
+        self.world = World(config, load_layout(config.world.layout), furniture)
+        radio = config.radio
+        k, m, n = config.world.num_users, radio.num_antennas, radio.num_elements
+        self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
+        """Users of every cluster, int [V, K/V]."""
+        self._spacing_m = radio.wavelength_m / 2
+        self._ap = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
+        axes = np.stack([self.world.office(e).ap_axis for e in range(num_cells)])
+        self._antennas = channel.uniform_linear_array(self._ap, axes, m, self._spacing_m)
+        people = self.world.office(0).person_bodies
+        self._own_bodies = np.concatenate([people, people, [-1]])
+        self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
+        self._order = np.zeros((num_cells, *self.clusters.shape), np.int64)
+        self._fresh = np.ones(num_cells, np.bool_)
+        self._streams: list[_Streams] = []
+        self.seed(config.seed)
+        self.scene: Scene
+        self.reset()
+
+    def seed(self, seed: int, cells: IntArray | None = None) -> None:
+        """Restart the random streams of some cells, all by default."""
+        fresh = [_Streams(np.random.default_rng([seed, number, 0]), np.random.default_rng(seed)) for number in self._numbers]
+        if cells is None:
+            self._streams = fresh
+        else:
+            for e in cells:
+                self._streams[e] = fresh[e]
+
+    def reset(self, cells: IntArray | None = None) -> Scene:
+        """Begin an episode in some cells, all by default."""
+        cells = np.arange(self.num_cells) if cells is None else np.asarray(cells)
+        self.world.place(cells, [self._streams[e].own for e in cells])
+        self._diffuse[cells] = self._draw_diffuse(cells)
+        self._fresh[cells] = True
+        self._face_panels()
+        self.world.fleet.sense()
+        self.scene = self._observe()
+        return self.scene
+
+    def random_phases(self) -> FloatArray:
+        """Uniform phases from each cell's own stream [E, N] [rad]."""
+        n = self.config.radio.num_elements
+        return np.stack([streams.own.uniform(-np.pi, np.pi, n) for streams in self._streams])
+
+    def step(self, displacement_m: FloatArray, phases_rad: FloatArray, powers_w: FloatArray) -> Slot:
+        """Transmit over the present channel, then move: [E, 2] [m], [E, N] [rad], [E, K] [W]."""
+        effective = self.effective_channel(phases_rad)
+        rates = self.rates(effective, powers_w, self._decoding_order(effective, powers_w))
+        direct = self.scene.channels.direct
+        bare = self.rates(direct, self.qos_first_powers(direct))
+        before = self.world.fleet.xy
+        walk, direction = self._draw_steps()
+        motion = self.world.move(displacement_m, walk, direction)
+        self._face_panels()
+        if self.config.radio.fading_memory < 1:
+            fresh = self._draw_diffuse(np.arange(self.num_cells))
+            self._diffuse = propagation.evolve(self._diffuse, fresh, self.config.radio.fading_memory)
+        self.scene = self._observe()
+        return Slot(
+            rates_bps=rates,
+            qos_met=rates >= self.config.task.qos_bps,
+            bare_rates_bps=bare,
+            displacement_m=self.world.fleet.xy - before,
+            clearance_m=motion.clearance_m,
+            collisions=motion.collisions,
+            scene=self.scene,
+        )
+
+    def effective_channel(self, phases_rad: FloatArray) -> ComplexArray:
+        """H of the present scene for phases [E, N] [rad], without the RIS where the task has none: [E, K, M]."""
+        if self.config.task.ris == "none":
+            return self.scene.channels.direct
+        response = channel.ris_response(phases_rad, self.config.radio.element_amplitude)
+        return channel.effective_channel(self.scene.channels, response)
+
+    def rates(self, effective: ComplexArray, powers_w: FloatArray, order: IntArray | None = None) -> FloatArray:
+        """Rates [..., K] [bit/s] for effective channels [..., K, M] and powers [..., K] [W]."""
+        radio = self.config.radio
+        if radio.scheme == "oma":
+            return access.oma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w)
+        return access.noma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w, order)
+
+    def qos_first_powers(self, effective: ComplexArray) -> FloatArray:
+        """The closed-form QoS-first powers [..., K] [W] for effective channels [..., K, M]."""
+        radio = self.config.radio
+        return control.qos_first_powers(
+            effective,
+            self.clusters,
+            radio.scheme,
+            radio.tx_power_w,
+            radio.bandwidth_hz,
+            radio.noise_w,
+            self.config.task.qos_bps,
+        )
+
+    def _decoding_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
+        """None for the order of every slot; with the static order, that of the episode's first slot."""
+        radio = self.config.radio
+        if radio.decoding_order == "dynamic" or radio.scheme == "oma":
+            return None
+        if self._fresh.any():
+            now = access.decoding_order(effective, powers_w, self.clusters, radio.noise_w)
+            self._order[self._fresh] = now[self._fresh]
+            self._fresh[:] = False
+        return self._order
+
+    def _face_panels(self) -> None:
+        """Point panels at the bisector of the directions to the AP and to the users' middle."""
+        if self.config.world.pan == "locked":
+            return
+        panel = self.world.fleet.xy
+        toward_ap = _direction(self._ap[:, :2] - panel)
+        toward_users = _direction(_direction(self.world.crowd.xy - panel[:, None]).mean(1))
+        bisector = toward_ap + toward_users
+        self.world.fleet.face(np.arctan2(bisector[:, 1], bisector[:, 0]))
+
+    def _observe(self) -> Scene:
+        """Sight, path losses and channels at the present positions."""
+        radio, world = self.config.radio, self.world
+        panel, receivers = world.panel_centre(), world.receivers()
+        k = receivers.shape[1]
+        # Links run from the receivers outward, so that a user's own body is left at once.
+        start = np.concatenate([receivers, receivers, panel[:, None]], 1)
+        end = np.concatenate(
+            [np.repeat(self._ap[:, None], k, 1), np.repeat(panel[:, None], k, 1), self._ap[:, None]], 1
+        )
+        blockers = world.sight.blockers(start, end, self._own_bodies)
+        distance = np.linalg.norm(end - start, axis=-1)
+        loss_db = propagation.path_loss_db(distance, blockers, radio.carrier_hz)
+        heading = world.fleet.panel_heading
+        return Scene(
+            rover_xy=panel[:, :2],
+            rover_heading=world.fleet.heading,
+            panel_heading=heading,
+            users_xy=receivers[..., :2],
+            blockers=blockers,
+            path_loss_db=loss_db,
+            channels=self._channels(panel, heading, receivers, blockers, loss_db),
+        )
+
+    def _channels(
+        self, panel: FloatArray, heading: FloatArray, receivers: FloatArray, blockers: IntArray, loss_db: FloatArray
+    ) -> channel.Channels:
+        """Channels [E, ...] from geometry, path loss, element patterns and fading."""
+        radio = self.config.radio
+        k, m, n = receivers.shape[1], radio.num_antennas, radio.num_elements
+        elements = channel.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m)
+        normal = channel.panel_normal(heading)
+        ends = np.concatenate([receivers - panel[:, None], (self._ap - panel)[:, None]], 1)
+        gain = channel.element_gain(radio.element_pattern, radio.element_exponent, normal[:, None], ends)
+        amplitude = np.sqrt(propagation.db_to_linear(-loss_db))
+        amplitude[:, k:] *= np.sqrt(gain)
+        k_factor = np.where(blockers > 0, 0.0, propagation.db_to_linear(radio.rician_k_db))
+        parts = np.split(self._diffuse, [k * m, k * m + n * m], axis=1)
+        wavelength = radio.wavelength_m
+
+        def link(los: ComplexArray, diffuse: ComplexArray, links: slice) -> ComplexArray:
+            per_link = (..., links, *(None,) * (los.ndim - 2))
+            faded = propagation.rician(los, diffuse.reshape(los.shape), k_factor[per_link])
+            return amplitude[per_link] * faded
+
+        direct = link(channel.phase_ramp(receivers, self._antennas, wavelength), parts[0], slice(0, k))
+        reflected = link(channel.phase_ramp(receivers, elements, wavelength), parts[2], slice(k, 2 * k))
+        ramp = channel.phase_ramp(elements, self._antennas, wavelength)
+        incident = link(ramp[:, None], parts[1], slice(2 * k, 2 * k + 1))[:, 0]
+        return channel.Channels(direct, incident, reflected)
+
+    def _draw_diffuse(self, cells: IntArray) -> ComplexArray:
+        """Fresh diffuse fading of some cells [n, ...], correlated between cells by the difference factor."""
+        factor = self.config.radio.difference_factor
+        size = self._diffuse.shape[1:]
+        shared = np.stack([propagation.complex_normal(self._streams[e].shared, size) for e in cells])
+        if factor == 0:
+            return shared
+        own = np.stack([propagation.complex_normal(self._streams[e].own, size) for e in cells])
+        return propagation.mix_cells(shared, own, factor)
+
+    def _draw_steps(self) -> tuple[FloatArray, FloatArray]:
+        """Everyone's distance [E, K] [m] and direction [E, K] [rad]."""
+        uniform = np.stack([streams.own.random((2, self.config.world.num_users)) for streams in self._streams])
+        # Inverse transform of the Rayleigh distribution.
+        distance = self.config.world.walk_scale_m * np.sqrt(-2 * np.log1p(-uniform[:, 0]))
+        return distance, 2 * np.pi * uniform[:, 1]
+
+
+def _direction(vector: FloatArray) -> FloatArray:
+    """Unit vectors [..., 2]; zero stays zero."""
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    return vector / np.where(length > 0, length, 1)

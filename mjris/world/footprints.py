@@ -1,0 +1,76 @@
+"""Plan-view outlines of everything solid, and exact distances to them."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.world.office import GROUP_BLOCKERS, GROUP_WALLS, Office
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Footprints:
+    """Rectangles on the floor, B bricks and walls in each cell, or the same ones in all (E or 1).
+
+    `centre` and `half` [2, E or 1, B] [m] are middles and half sides, `axis` [2, E or 1, B] the unit vector of a
+    rectangle's own x direction. Coordinates come first: sums over an axis of length two are slow.
+    """
+
+    centre: FloatArray
+    half: FloatArray
+    axis: FloatArray
+
+    def of_cell(self, cell: int) -> "Footprints":
+        """The footprints of one cell."""
+        if self.centre.shape[1] == 1:
+            return self
+        return Footprints(*(part[:, cell : cell + 1] for part in (self.centre, self.half, self.axis)))
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Distance from points [E, P, 2] [m] to the nearest rectangle, [E, P] [m]; zero inside one."""
+        along, across = self._local(points)
+        dx = np.maximum(np.abs(along) - self.half[0][:, None], 0)
+        dy = np.maximum(np.abs(across) - self.half[1][:, None], 0)
+        return np.sqrt((dx * dx + dy * dy).min(-1))
+
+    def free_run(self, start: FloatArray, end: FloatArray, inflate: float) -> NDArray[np.bool_]:
+        """Whether segments start–end, both [E, P, 2] [m], miss every rectangle grown by `inflate` [m], [E, P].
+
+        Grown rectangles keep square corners, which errs on the safe side.
+        """
+        enter, leave = np.zeros(1), np.ones(1)
+        for origin, target, half in zip(self._local(start), self._local(end), self.half, strict=True):
+            direction = target - origin
+            # A direction along the slab would divide zero by zero on its edge; the least number keeps it finite.
+            inverse = 1 / np.where(np.abs(direction) < 1e-300, 1e-300, direction)
+            middle = -origin * inverse
+            reach = np.abs((half[:, None] + inflate) * inverse)
+            enter, leave = np.maximum(enter, middle - reach), np.minimum(leave, middle + reach)
+        return ~(enter < leave).any(-1)
+
+    def _local(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Coordinates of points [E, P, 2] along and across every rectangle, [E, P, B] each."""
+        dx = points[..., 0, None] - self.centre[0][:, None]
+        dy = points[..., 1, None] - self.centre[1][:, None]
+        ax, ay = self.axis[:, :, None]
+        return dx * ax + dy * ay, dy * ax - dx * ay
+
+
+def footprints(offices: list[Office], low_m: float, high_m: float) -> Footprints:
+    """Footprints of the furniture and walls that stand between two heights [m], for one office or one a cell."""
+    parts = zip(*(_rectangles(office.model, low_m, high_m) for office in offices), strict=True)
+    return Footprints(*(np.moveaxis(np.stack(part), -1, 0).copy() for part in parts))
+
+
+def _rectangles(model: mujoco.MjModel, low_m: float, high_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Centre, half sides and axis of what stands between two heights, [B, 2] each."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    solid = np.isin(model.geom_group, (GROUP_BLOCKERS, GROUP_WALLS))
+    centre, half = data.geom_xpos[solid], model.geom_size[solid]
+    axis = data.geom_xmat[solid].reshape(-1, 3, 3)[:, :2, 0]
+    reaches = (centre[:, 2] - half[:, 2] < high_m) & (centre[:, 2] + half[:, 2] > low_m)
+    return centre[reaches, :2], half[reaches, :2], axis[reaches]

@@ -1,0 +1,211 @@
+"""From a layout and the parts in assets/ to one compiled MuJoCo model, and the ids that the rest uses."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.config import Config
+from mjris.world.layout import Layout, assets_dir
+
+FloatArray = NDArray[np.float64]
+
+GROUP_BLOCKERS = 1
+"""Geom group of the furniture bricks, which block links."""
+GROUP_WALLS = 3
+"""Geom group of the room's outer walls."""
+GROUP_BODIES = 5
+"""Geom group of what bumps but is not shown: the rover's hull and wheels, and the people's capsules."""
+
+WALL_THICKNESS_M = 0.1
+PERSON_RADIUS_M = 0.22
+PERSON_HEIGHT_M = 1.75
+HULL_FLOOR_GAP_M = 0.03
+_AXLE_HEIGHT_M = 0.08
+_HULL_MIN_RADIUS_M = 0.25
+
+
+def hull_radius(config: Config) -> float:
+    """Radius of the cylinder that encloses rover and panel at every pan angle [m]."""
+    half_width = config.radio.panel_cols * config.radio.wavelength_m / 4
+    return max(_HULL_MIN_RADIUS_M, math.hypot(half_width + 0.02, 0.02))
+
+
+def hull_height(config: Config) -> float:
+    """Height of the hull's top above the floor [m]."""
+    return config.world.panel_height_m + config.radio.panel_rows * config.radio.wavelength_m / 4 + 0.05
+
+
+@dataclass(frozen=True)
+class Office:
+    """A compiled office with its rover and people, and where things are in it."""
+
+    model: mujoco.MjModel
+    layout: Layout
+    num_users: int
+
+    @cached_property
+    def ap_position(self) -> FloatArray:
+        """Centre of the AP's array, [3] [m]."""
+        return np.array(self.layout.ap.position)
+
+    @cached_property
+    def ap_axis(self) -> FloatArray:
+        """Unit vector along the AP's array, [3]: horizontal, across the direction it faces."""
+        facing = self.layout.ap.facing
+        return np.array([-math.sin(facing), math.cos(facing), 0.0])
+
+    @cached_property
+    def rover_qpos(self) -> int:
+        """Where the rover's free joint (x, y, z, quaternion) starts in qpos."""
+        return int(self.model.joint("rover/free").qposadr[0])
+
+    @cached_property
+    def pan_qpos(self) -> int:
+        """Where the panel's pan angle stands in qpos."""
+        return int(self.model.joint("rover/panel/pan").qposadr[0])
+
+    @cached_property
+    def mocap_ids(self) -> NDArray[np.int64]:
+        """Mocap index of every person, [K]."""
+        return np.array([self.model.body(f"person{k}/person").mocapid[0] for k in range(self.num_users)])
+
+    @cached_property
+    def person_bodies(self) -> NDArray[np.int64]:
+        """Body id of every person, [K]."""
+        return np.array([self.model.body(f"person{k}/person").id for k in range(self.num_users)])
+
+    @cached_property
+    def bumper(self) -> slice:
+        """The bumper's readings in sensordata: rows of found, distance [m], normal (3)."""
+        sensor = self.model.sensor("rover/bumper")
+        return slice(int(sensor.adr[0]), int(sensor.adr[0] + sensor.dim[0]))
+
+
+def build(config: Config, layout: Layout) -> Office:
+    """Compile a layout with the rover, its panel and the people of `config`."""
+    model = compose(config, layout).compile()
+    return Office(model, layout, config.world.num_users)
+
+
+def compose(config: Config, layout: Layout) -> mujoco.MjSpec:
+    """The scene as an editable spec: shell, furniture, AP, people, rover and panel."""
+    spec = _part("office")
+    ticks_s = config.world.slot_s / config.world.ticks_per_slot
+    spec.option.timestep = ticks_s / math.ceil(ticks_s / config.world.timestep_s - 1e-9)
+    _add_shell(spec, layout)
+    _add_furniture(spec, layout)
+    _add_access_point(spec, layout)
+    _add_people(spec, config)
+    _add_rover(spec, config)
+    _add_contacts(spec, config)
+    return spec
+
+
+def _part(name: str) -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_file(str(assets_dir() / f"{name}.xml"))
+
+
+def _add_shell(spec: mujoco.MjSpec, layout: Layout) -> None:
+    x, y, z = layout.room.size
+    floor = spec.geom("floor")
+    floor.size, floor.pos = [x / 2, y / 2, 0.1], [x / 2, y / 2, 0]
+    t = WALL_THICKNESS_M
+    sides = {
+        "wall_west": ([-t / 2, y / 2, z / 2], [t / 2, y / 2 + t, z / 2]),
+        "wall_east": ([x + t / 2, y / 2, z / 2], [t / 2, y / 2 + t, z / 2]),
+        "wall_south": ([x / 2, -t / 2, z / 2], [x / 2 + t, t / 2, z / 2]),
+        "wall_north": ([x / 2, y + t / 2, z / 2], [x / 2 + t, t / 2, z / 2]),
+    }
+    for name, (pos, size) in sides.items():
+        _add_box(spec.worldbody, spec.find_default("wall"), name, pos, size, "wall")
+    _add_box(
+        spec.worldbody, spec.find_default("ceiling"), "ceiling", [x / 2, y / 2, z + 0.05], [x / 2, y / 2, 0.05], "ceiling"
+    )
+
+
+def _add_furniture(spec: mujoco.MjSpec, layout: Layout) -> None:
+    for obstacle in layout.obstacles:
+        body = spec.worldbody.add_body(
+            name=obstacle.name,
+            pos=[*obstacle.position, 0],
+            quat=[math.cos(obstacle.yaw / 2), 0, 0, math.sin(obstacle.yaw / 2)],
+        )
+        for index, brick in enumerate(obstacle.bricks):
+            half = [length / 2 for length in brick.size]
+            _add_box(body, spec.find_default("brick"), f"{obstacle.name}/{index}", brick.at, half, brick.material)
+
+
+def _add_box(body, default, name: str, pos, half_size, material: str) -> None:
+    body.add_geom(
+        default, name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=list(pos), size=list(half_size), material=material
+    )
+
+
+def _add_access_point(spec: mujoco.MjSpec, layout: Layout) -> None:
+    facing = layout.ap.facing
+    quat = [math.cos(facing / 2), 0, 0, math.sin(facing / 2)]
+    body = spec.worldbody.add_body(name="ap", pos=list(layout.ap.position), quat=quat)
+    visual = spec.find_default("visual")
+    _add_box(body, visual, "ap/case", [0, 0, 0], [0.03, 0.14, 0.08], "ap")
+
+
+def _add_people(spec: mujoco.MjSpec, config: Config) -> None:
+    for k in range(config.world.num_users):
+        person = _part("person")
+        person.body("person").add_site(name="receiver", pos=[0.0, 0.0, config.world.user_height_m], size=[0.03, 0, 0])
+        spec.attach(person, prefix=f"person{k}/", frame=spec.worldbody.add_frame())
+
+
+def _add_rover(spec: mujoco.MjSpec, config: Config) -> None:
+    rover = _part("rover")
+    hull = rover.geom("hull")
+    top = hull_height(config)
+    hull.size = [hull_radius(config), (top - HULL_FLOOR_GAP_M) / 2, 0]
+    hull.pos = [0, 0, (top + HULL_FLOOR_GAP_M) / 2 - _AXLE_HEIGHT_M]
+    mast = rover.geom("mast")
+    mast.fromto = [0, 0, 0.12, 0, 0, config.world.panel_height_m - _AXLE_HEIGHT_M]
+    rover.attach(_panel(config), prefix="panel/", frame=_mast_top(rover, config))
+    spec.attach(rover, prefix="rover/", frame=spec.worldbody.add_frame())
+
+
+def _add_contacts(spec: mujoco.MjSpec, config: Config) -> None:
+    """All that can touch, pair by pair: MuJoCo's search over all bodies takes half as long again as a step without it."""
+    world = config.world
+    # The bumper must report an obstacle one tick before the rover is within the distance that it keeps.
+    reach = world.bumper_m + world.max_speed_mps * world.slot_s / world.ticks_per_slot
+    capsules = [f"person{k}/body" for k in range(world.num_users)]
+    solid = [geom.name for geom in spec.geoms if geom.group in (GROUP_BLOCKERS, GROUP_WALLS)]
+    for name in solid + capsules:
+        spec.add_pair(geomname1="rover/hull", geomname2=name, gap=reach, margin=0, condim=1)
+    if world.drive == "wheels":
+        for side in ("left", "right"):
+            spec.add_pair(geomname1=f"rover/tread_{side}", geomname2="floor", condim=3, friction=[1, 1, 0.005, 1e-4, 1e-4])
+        for end in ("front", "back"):
+            spec.add_pair(geomname1=f"rover/caster_{end}", geomname2="floor", condim=1)
+
+
+def _mast_top(rover: mujoco.MjSpec, config: Config) -> mujoco.MjsFrame:
+    return rover.body("chassis").add_frame(pos=[0, 0, config.world.panel_height_m - _AXLE_HEIGHT_M])
+
+
+def _panel(config: Config) -> mujoco.MjSpec:
+    """The panel with a tile for every reflecting element, half a wavelength apart."""
+    ris = _part("ris")
+    spacing = config.radio.wavelength_m / 2
+    rows, cols = config.radio.panel_rows, config.radio.panel_cols
+    ris.geom("board").size = [0.006, cols * spacing / 2 + 0.01, rows * spacing / 2 + 0.01]
+    panel = ris.body("panel")
+    for n in range(rows * cols):
+        row, col = divmod(n, cols)
+        panel.add_geom(
+            name=f"element{n}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[0.008, (col - (cols - 1) / 2) * spacing, ((rows - 1) / 2 - row) * spacing],
+            size=[0.003, 0.4 * spacing, 0.4 * spacing],
+            material="ris_element",
+        )
+    return ris

@@ -1,0 +1,137 @@
+"""The physical side of E cells on one MuJoCo batch: offices, rovers, people and lines of sight."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from mjris.config import Config, ConfigError
+from mjris.world.footprints import footprints
+from mjris.world.jitter import jittered
+from mjris.world.layout import Layout
+from mjris.world.office import (
+    HULL_FLOOR_GAP_M,
+    PERSON_HEIGHT_M,
+    PERSON_RADIUS_M,
+    Office,
+    build,
+    hull_height,
+    hull_radius,
+)
+from mjris.world.people import Crowd
+from mjris.world.rover import Fleet
+from mjris.world.sight import Sight
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_PLACING_TRIES = 2000
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What happened in a slot: smallest hull distance met [E] [m] and penetrating contacts [E]."""
+
+    clearance_m: FloatArray
+    collisions: IntArray
+
+
+class World:
+    """E offices stepped together. Cell e has furniture of its own if the layout is jittered."""
+
+    def __init__(self, config: Config, layout: Layout, generators: list[np.random.Generator]):
+        """`generators` [E] place each cell's furniture."""
+        self.config = config.world
+        self.num_cells = len(generators)
+        jitter = config.world.layout_jitter_m
+        layouts = [jittered(layout, jitter, rng) for rng in generators] if jitter > 0 else [layout]
+        self.offices = [build(config, each) for each in layouts]
+        office = self.offices[0]
+        self.batch = Batch(office.model, self.num_cells)
+        if jitter > 0:
+            self.batch.set_models([each.model for each in self.offices])
+        self.hull_radius_m = hull_radius(config)
+        self._hull_solid = footprints(self.offices, HULL_FLOOR_GAP_M, hull_height(config))
+        self._body_solid = footprints(self.offices, 0.0, PERSON_HEIGHT_M)
+        self.fleet = Fleet(config.world, office, self.batch)
+        self.crowd = Crowd(config.world, office, self.batch, self._body_solid, self.hull_radius_m)
+        self.sight = Sight(office, self.batch, config.world.body_blockage)
+        self.on_tick: Callable[[], None] | None = None
+        """Called after every tick, for those who film."""
+
+    def office(self, cell: int) -> Office:
+        """The office of a cell."""
+        return self.offices[cell % len(self.offices)]
+
+    def panel_centre(self) -> FloatArray:
+        """Centres of the RIS panels [E, 3] [m]."""
+        return _raised(self.fleet.xy, self.config.panel_height_m)
+
+    def receivers(self) -> FloatArray:
+        """The users' receivers [E, K, 3] [m]."""
+        return _raised(self.crowd.xy, self.config.user_height_m)
+
+    def place(self, cells: IntArray, generators: list[np.random.Generator]) -> None:
+        """Put rovers of `cells` [n] at the start, facing anywhere, and people anywhere free."""
+        start = np.array([self.office(int(e)).layout.start for e in cells])
+        heading = np.array([rng.uniform(-np.pi, np.pi) for rng in generators])
+        self.fleet.place(cells, start, heading)
+        self.crowd.place(cells, np.stack([self._free_places(int(e), rng) for e, rng in zip(cells, generators, strict=True)]))
+        self.fleet.sense()
+
+    def move(self, displacement: FloatArray, distance: FloatArray, direction: FloatArray) -> Motion:
+        """One slot: rovers by `displacement` [E, 2] [m], people by `distance` [E, K] [m] in `direction` [E, K] [rad]."""
+        target = self.fleet.xy + displacement
+        self.crowd.plan(distance, direction)
+        nearest = np.full(self.num_cells, np.inf)
+        collisions = np.zeros(self.num_cells, np.int64)
+        for _ in range(self.config.ticks_per_slot):
+            self.crowd.walk(self.fleet.xy)
+            self.fleet.drive(target)
+            contact, _ = self.fleet.contacts()
+            nearest = np.minimum(nearest, contact.min(-1))
+            collisions += (contact < 0).sum(-1)
+            if self.on_tick is not None:
+                self.on_tick()
+        return Motion(np.minimum(nearest, self.clearance()), collisions)
+
+    def clearance(self) -> FloatArray:
+        """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
+        xy = self.fleet.xy
+        solid = self._hull_solid.distance(xy)
+        people = np.linalg.norm(self.crowd.xy - xy[:, None], axis=-1).min(-1) - PERSON_RADIUS_M
+        return np.minimum(solid, people) - self.hull_radius_m
+
+    def solid_distance(self, points: FloatArray) -> FloatArray:
+        """Distance from points [E, P, 2] [m] to what the rover's hull can bump into, people aside, [E, P] [m]."""
+        return self._hull_solid.distance(points)
+
+    def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
+        """Random places [K, 2] [m] with clearance from everything."""
+        office = self.office(cell)
+        low, high = np.zeros(2), np.array(office.layout.room.size[:2])
+        solid = self._body_solid.of_cell(cell)
+        chosen: list[FloatArray] = []
+        gaps = [self.hull_radius_m + PERSON_RADIUS_M + self.config.clearance_m]
+        taken = [np.array(office.layout.start)]
+        for _ in range(_PLACING_TRIES):
+            place = rng.uniform(low, high)
+            if solid.distance(place[None, None])[0, 0] < PERSON_RADIUS_M + self.config.clearance_m:
+                continue
+            if any(np.linalg.norm(place - other) < gap for other, gap in zip(taken, gaps, strict=True)):
+                continue
+            chosen.append(place)
+            taken.append(place)
+            gaps.append(2 * PERSON_RADIUS_M + self.config.clearance_m)
+            if len(chosen) == self.config.num_users:
+                return np.stack(chosen)
+        raise ConfigError(
+            f"world.num_users: {self.config.num_users} is not allowed: "
+            f"layout {office.layout.name!r} has room for {len(chosen)} people at most"
+        )
+
+
+def _raised(xy: FloatArray, height_m: float) -> FloatArray:
+    return np.concatenate([xy, np.full((*xy.shape[:-1], 1), height_m)], -1)

@@ -1,0 +1,235 @@
+"""Zero forcing, decoding order and rates, against plain loops over the paper's equations."""
+
+import itertools
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mjris.radio.access import decoding_order, noma_rates, oma_rates, zero_forcing
+from mjris.radio.channel import Channels, effective_channel, ris_response
+from mjris.radio.propagation import complex_normal
+
+BANDWIDTH = 1e6
+NOISE = 1e-3
+SHAPES = [(4, 2, 4), (4, 1, 2), (4, 4, 4), (6, 2, 3), (6, 3, 4), (1, 1, 1)]  # K, V, M
+
+
+def random_case(rng, users, clusters, antennas, batch=(3,)):
+    """Channels with losses that differ by 40 dB, random powers and clusters."""
+    loss = 10 ** rng.uniform(-2, 0, (*batch, users, 1))
+    channel = complex_normal(rng, (*batch, users, antennas)) * loss
+    return channel, rng.uniform(0, 1, (*batch, users)), rng.permutation(users).reshape(clusters, -1)
+
+
+def slow_beams(rows):
+    """Unit-norm columns of the pseudo-inverse."""
+    inverse = np.linalg.pinv(rows)
+    return [inverse[:, s] / np.linalg.norm(inverse[:, s]) for s in range(len(rows))]
+
+
+def slow_gains(channel, power, clusters):
+    strongest = [max(cluster, key=lambda k: np.linalg.norm(channel[k])) for cluster in clusters]
+    beams = slow_beams(channel[strongest])
+    gains = {}
+    for v, cluster in enumerate(clusters):
+        for k in cluster:
+            interference = sum(
+                abs(channel[k] @ beams[w]) ** 2 * sum(power[j] for j in other)
+                for w, other in enumerate(clusters)
+                if w != v
+            )
+            gains[k] = abs(channel[k] @ beams[v]) ** 2 / (interference + NOISE)
+    return gains
+
+
+def slow_noma(channel, power, clusters, order=None):
+    gains = slow_gains(channel, power, clusters)
+    rates = np.zeros(len(channel))
+    for v, cluster in enumerate(clusters):
+        sequence = list(order[v]) if order is not None else sorted(cluster, key=lambda k: gains[k])
+        for place, k in enumerate(sequence):
+            interfering = sum(power[j] for j in sequence[place + 1 :])
+            rates[k] = min(
+                BANDWIDTH * np.log2(1 + gains[d] * power[k] / (gains[d] * interfering + 1)) for d in sequence[place:]
+            )
+    return rates
+
+
+def slow_oma(channel, power, clusters):
+    num_bands = len(clusters[0])
+    rates = np.zeros(len(channel))
+    for band in range(num_bands):
+        users = [cluster[band] for cluster in clusters]
+        beams = slow_beams(channel[users])
+        for s, k in enumerate(users):
+            signal = power[k] * abs(channel[k] @ beams[s]) ** 2
+            others = sum(power[j] * abs(channel[k] @ beams[i]) ** 2 for i, j in enumerate(users) if i != s)
+            rates[k] = BANDWIDTH / num_bands * np.log2(1 + signal / (others + NOISE / num_bands))
+    return rates
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(0, 3))
+def test_beams_have_unit_norm_and_null_the_others(seed, rows, spare):
+    rng = np.random.default_rng(seed)
+    channel = complex_normal(rng, (5, rows, rows + spare)) * 10 ** rng.uniform(-4, 0, (5, rows, 1))
+    beams = zero_forcing(channel)
+    assert beams.shape == (5, rows + spare, rows)
+    np.testing.assert_allclose(np.linalg.norm(beams, axis=-2), 1, rtol=1e-12)
+    received = channel / np.linalg.norm(channel, axis=-1, keepdims=True) @ beams
+    off_diagonal = received * (1 - np.eye(rows))
+    conditioning = np.linalg.cond(channel / np.linalg.norm(channel, axis=-1, keepdims=True)) ** 2
+    assert np.all(abs(off_diagonal).max(axis=(-2, -1)) < 1e-14 * conditioning)
+    assert np.all(abs(np.diagonal(received, axis1=-2, axis2=-1)) > 0)
+
+
+def test_a_single_beam_is_the_matched_filter():
+    channel = complex_normal(np.random.default_rng(0), (1, 4))
+    assert abs(channel @ zero_forcing(channel))[0, 0] == pytest.approx(np.linalg.norm(channel), rel=1e-12)
+
+
+def test_more_users_than_antennas_are_refused():
+    with pytest.raises(ValueError, match="3 users needs as many antennas, and there are 2"):
+        zero_forcing(np.ones((3, 2), dtype=complex))
+
+
+@pytest.mark.parametrize(("users", "num_clusters", "antennas"), SHAPES)
+def test_noma_equals_the_loops(users, num_clusters, antennas):
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        channel, power, clusters = random_case(rng, users, num_clusters, antennas)
+        rates = noma_rates(channel, power, clusters, BANDWIDTH, NOISE)
+        order = rng.permuted(np.broadcast_to(clusters, (3, *clusters.shape)), axis=-1)
+        static = noma_rates(channel, power, clusters, BANDWIDTH, NOISE, order)
+        for cell in range(3):
+            np.testing.assert_allclose(rates[cell], slow_noma(channel[cell], power[cell], clusters), rtol=1e-9)
+            expected = slow_noma(channel[cell], power[cell], clusters, order[cell])
+            np.testing.assert_allclose(static[cell], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("users", "num_clusters", "antennas"), SHAPES)
+def test_oma_equals_the_loops(users, num_clusters, antennas):
+    rng = np.random.default_rng(2)
+    for _ in range(10):
+        channel, power, clusters = random_case(rng, users, num_clusters, antennas)
+        rates = oma_rates(channel, power, clusters, BANDWIDTH, NOISE)
+        for cell in range(3):
+            np.testing.assert_allclose(rates[cell], slow_oma(channel[cell], power[cell], clusters), rtol=1e-9)
+
+
+def test_two_users_by_hand():
+    # One antenna, effective gains 1 and 10, powers 5.5 and 4.5: 1 bit, and log2(1 + 45) bit.
+    channel = np.array([[1.0 + 0j], [10**0.5]])
+    rates = noma_rates(channel, np.array([5.5, 4.5]), np.array([[1, 0]]), 1.0, 1.0)
+    np.testing.assert_allclose(rates, [1, np.log2(46)], rtol=1e-12)
+    # With the wrong order the strong user's signal must be decoded by the weak one too.
+    wrong = noma_rates(channel, np.array([5.5, 4.5]), np.array([[1, 0]]), 1.0, 1.0, np.array([[1, 0]]))
+    np.testing.assert_allclose(wrong, [np.log2(6.5), np.log2(1 + 4.5 / 6.5)], rtol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(4, 2), (3, 1), (6, 2), (4, 1)]))
+def test_no_order_beats_the_dynamic_one(seed, shape):
+    # Holds for any powers because a signal's rate is the least of its decoders': stack the powers, last decoded at the
+    # bottom; at every height, the gain that counts is nowhere above that of the order by gain.
+    users, num_clusters = shape
+    channel, power, clusters = random_case(np.random.default_rng(seed), users, num_clusters, 3, batch=())
+    best = noma_rates(channel, power, clusters, BANDWIDTH, NOISE).sum()
+    for order in itertools.product(*(list(itertools.permutations(cluster)) for cluster in clusters)):
+        assert noma_rates(channel, power, clusters, BANDWIDTH, NOISE, np.array(order)).sum() <= best * (1 + 1e-12)
+
+
+def test_decoding_order_sorts_the_gains_and_is_the_dynamic_one():
+    rng = np.random.default_rng(3)
+    channel, power, clusters = random_case(rng, 6, 2, 4, batch=(20,))
+    order = decoding_order(channel, power, clusters, NOISE)
+    assert order.shape == (20, 2, 3)
+    for cell in range(20):
+        gains = slow_gains(channel[cell], power[cell], clusters)
+        assert [list(row) for row in order[cell]] == [sorted(c, key=lambda k: gains[k]) for c in clusters]
+    dynamic = noma_rates(channel, power, clusters, BANDWIDTH, NOISE)
+    np.testing.assert_array_equal(noma_rates(channel, power, clusters, BANDWIDTH, NOISE, order), dynamic)
+
+
+def test_one_order_serves_every_cell():
+    channel, power, clusters = random_case(np.random.default_rng(4), 4, 2, 3, batch=(5,))
+    shared = clusters[:, ::-1]
+    repeated = np.broadcast_to(shared, (5, 2, 2))
+    np.testing.assert_array_equal(
+        noma_rates(channel, power[0], clusters, BANDWIDTH, NOISE, shared),
+        noma_rates(channel, np.broadcast_to(power[0], (5, 4)), clusters, BANDWIDTH, NOISE, repeated),
+    )
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([noma_rates, oma_rates]))
+def test_noise_counts_once(seed, rates):
+    # Users with the same channel share the capacity of one: B log2(1 + P |h|^2 / noise), however it is split.
+    rng = np.random.default_rng(seed)
+    channel = np.repeat(complex_normal(rng, (1, 2)), 4, axis=0)
+    power = np.full(4, 0.3) if rates is oma_rates else rng.uniform(0, 1, 4)
+    capacity = BANDWIDTH * np.log2(1 + power.sum() * np.linalg.norm(channel[0]) ** 2 / NOISE)
+    assert rates(channel, power, np.array([[2, 0, 3, 1]]), BANDWIDTH, NOISE).sum() == pytest.approx(capacity, rel=1e-9)
+
+
+@pytest.mark.parametrize("rates", [noma_rates, oma_rates])
+def test_rates_depend_on_the_ratio_of_power_to_noise_only(rates):
+    channel, power, clusters = random_case(np.random.default_rng(5), 4, 2, 4)
+    reference = rates(channel, power, clusters, BANDWIDTH, NOISE)
+    np.testing.assert_allclose(rates(channel, 7 * power, clusters, BANDWIDTH, 7 * NOISE), reference, rtol=1e-12)
+    np.testing.assert_allclose(rates(channel * 1j, power, clusters, 2 * BANDWIDTH, NOISE), 2 * reference, rtol=1e-9)
+    assert np.all(rates(channel, 0 * power, clusters, BANDWIDTH, NOISE) == 0)
+
+
+@pytest.mark.parametrize("rates", [noma_rates, oma_rates])
+def test_bad_powers_and_clusters_are_refused(rates):
+    channel, power, clusters = random_case(np.random.default_rng(6), 4, 2, 4, batch=())
+    for bad in (np.array([0.1, -1e-9, 0.1, 0.1]), np.array([0.1, np.nan, 0.1, 0.1])):
+        with pytest.raises(ValueError, match="power_w"):
+            rates(channel, bad, clusters, BANDWIDTH, NOISE)
+    for bad in ([[0, 1], [2, 2]], [[0, 1], [2, 4]], [[0, 1]], [0, 1, 2, 3]):
+        with pytest.raises(ValueError, match="clusters"):
+            rates(channel, power, np.array(bad), BANDWIDTH, NOISE)
+
+
+@pytest.mark.parametrize("order", [[[0, 0], [2, 3]], [[2, 3], [0, 1]], [[0, 1, 2, 3]]])
+def test_bad_orders_are_refused(order):
+    channel, power, _ = random_case(np.random.default_rng(7), 4, 2, 4, batch=())
+    with pytest.raises(ValueError, match="order"):
+        noma_rates(channel, power, np.array([[0, 1], [2, 3]]), BANDWIDTH, NOISE, np.array(order))
+
+
+@pytest.mark.parametrize("rates", [noma_rates, oma_rates, decoding_order])
+def test_torch_equals_numpy(rates):
+    channel, power, clusters = random_case(np.random.default_rng(8), 6, 2, 4, batch=(2, 3))
+    arguments = (NOISE,) if rates is decoding_order else (BANDWIDTH, NOISE)
+    expected = rates(channel, power, clusters, *arguments)
+    for groups in (clusters, torch.asarray(clusters)):
+        actual = rates(torch.asarray(channel), torch.asarray(power), groups, *arguments)
+        np.testing.assert_allclose(actual.numpy(), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("rates", [noma_rates, oma_rates])
+def test_gradient_of_the_sum_rate_matches_finite_differences(rates):
+    rng = np.random.default_rng(9)
+    shapes = ((2, 4, 3), (2, 5, 3), (2, 4, 5))
+    channels = Channels(*(complex_normal(rng, shape) for shape in shapes))
+    power, phases = rng.uniform(0.1, 1, (2, 4)), rng.uniform(0, 6, (2, 5))
+    clusters = np.array([[0, 3], [1, 2]])
+
+    def sum_rate(links, phases, power):
+        return rates(effective_channel(links, ris_response(phases, 1.0)), power, clusters, 1.0, NOISE).sum()
+
+    inputs = [torch.tensor(phases, requires_grad=True), torch.tensor(power, requires_grad=True)]
+    sum_rate(Channels(*map(torch.asarray, channels)), *inputs).backward()
+    for which, values in enumerate((phases, power)):
+        numeric = np.zeros_like(values)
+        for index in np.ndindex(values.shape):
+            step = np.zeros_like(values)
+            step[index] = 1e-6
+            ahead, behind = ([phases, power], [phases, power])
+            ahead[which], behind[which] = values + step, values - step
+            numeric[index] = (sum_rate(channels, *ahead) - sum_rate(channels, *behind)) / 2e-6
+        gradient = inputs[which].grad
+        assert gradient is not None
+        np.testing.assert_allclose(gradient.numpy(), numeric, rtol=1e-5, atol=1e-6)

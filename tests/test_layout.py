@@ -1,0 +1,257 @@
+import math
+import shutil
+
+import numpy as np
+import pytest
+
+from mjris.config import ConfigError
+from mjris.world import layout as layout_module
+from mjris.world.layout import Layout, check_layout, layout_names, load_layout
+
+HEAD = """
+room.size = [6.0, 5.0, 3.0]
+ap.position = [3.0, 4.9, 2.6]
+ap.facing_deg = 270.0
+rover.start = [3.0, 2.0]
+"""
+
+BOX = """
+[kinds.box]
+bricks = [{ at = [0, 0, 0.5], size = [1.0, 0.5, 1.0], material = "wood" }]
+"""
+
+
+def load(tmp_path, obstacles: str, head: str = HEAD, kinds: str = BOX) -> Layout:
+    path = tmp_path / "mine.toml"
+    path.write_text(f"{head}\nobstacle = [{obstacles}]\n{kinds}")
+    return load_layout(str(path))
+
+
+def bricks(layout: Layout):
+    """Every brick as (obstacle, rotation room -> brick [3, 3], centre [3], half size [3])."""
+    for obstacle in layout.obstacles:
+        c, s = math.cos(obstacle.yaw), math.sin(obstacle.yaw)
+        rotation = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        for brick in obstacle.bricks:
+            centre = [*obstacle.position, 0] + rotation.T @ brick.at
+            yield obstacle, rotation, centre, np.array(brick.size) / 2
+
+
+def in_sight(layout: Layout, source, targets) -> np.ndarray:
+    """Slab test: whether the segments from source [3] to targets [n, 3] meet no brick, [n]."""
+    clear = np.ones(len(targets), bool)
+    for _, rotation, centre, half in bricks(layout):
+        origin = rotation @ (source - centre)
+        direction = (targets - source) @ rotation.T
+        with np.errstate(divide="ignore"):
+            ends = np.stack([(-half - origin) / direction, (half - origin) / direction])
+        enter, leave = ends.min(0).max(-1), ends.max(0).min(-1)
+        clear &= ~((enter < leave) & (leave > 0) & (enter < 1))
+    return clear
+
+
+def free_floor(layout: Layout, clearance: float, grid: float = 0.125) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the floor [nx, ny, 2], and whether they keep clear of walls and of bricks below 2 m, [nx, ny]."""
+    size = np.array(layout.room.size[:2])
+    points = np.stack(np.meshgrid(*(np.arange(grid / 2, side, grid) for side in size), indexing="ij"), -1)
+    free: np.ndarray = np.all(np.minimum(points, size - points) >= clearance, axis=-1)
+    for _, rotation, centre, half in bricks(layout):
+        if centre[2] - half[2] < 2:
+            beyond = np.abs((points - centre[:2]) @ rotation[:2, :2].T) - half[:2]
+            free = free & (np.linalg.norm(np.maximum(beyond, 0), axis=-1) > clearance)
+    return points, free
+
+
+def connected(free: np.ndarray, seed: tuple[int, int]) -> int:
+    """How many free cells a walk in four directions from the seed visits."""
+    stack, seen = [seed], {seed}
+    while stack:
+        i, j = stack.pop()
+        for cell in ((i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)):
+            if all(0 <= k < n for k, n in zip(cell, free.shape, strict=True)) and free[cell] and cell not in seen:
+                seen.add(cell)
+                stack.append(cell)
+    return len(seen)
+
+
+def shadow(layout: Layout, clearance: float) -> float:
+    points, free = free_floor(layout, clearance)
+    receivers = np.concatenate([points[free], np.full((free.sum(), 1), 1.1)], axis=-1)
+    return 1 - in_sight(layout, np.array(layout.ap.position), receivers).mean()
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.37])
+def test_office_has_radio_shadow(clearance):
+    assert 0.25 <= shadow(load_layout("office"), clearance) <= 0.5
+
+
+def test_layouts_differ_in_radio_shadow():
+    assert shadow(load_layout("open"), 0.37) < 0.2
+    assert shadow(load_layout("clinic"), 0.37) > 0.45
+
+
+def test_office_shadow_can_be_served_from_places_that_see_the_ap():
+    layout = load_layout("office")
+    ap = np.array(layout.ap.position)
+    points, free = free_floor(layout, 0.42, grid=0.5)
+    panels = np.concatenate([points[free], np.full((free.sum(), 1), 1.5)], axis=-1)
+    panels = panels[in_sight(layout, ap, panels)]
+    users = np.concatenate([points[free], np.full((free.sum(), 1), 1.1)], axis=-1)
+    users = users[~in_sight(layout, ap, users)]
+    serving = np.array([in_sight(layout, user, panels).sum() for user in users])
+    assert serving.min() > 0
+    assert np.median(serving) > 50
+
+
+@pytest.mark.parametrize("name", layout_names())
+def test_rover_reaches_nearly_all_free_floor(name):
+    layout = load_layout(name)
+    points, free = free_floor(layout, 0.42)
+    seed = np.unravel_index(np.linalg.norm(points - layout.start, axis=-1).argmin(), free.shape)
+    assert free[seed]
+    assert connected(free, (int(seed[0]), int(seed[1]))) > 0.98 * free.sum()
+
+
+def test_office_is_light_enough_to_simulate():
+    layout = load_layout("office")
+    assert layout.room.size == (15, 20, 3)
+    assert len(layout.obstacles) <= 35
+    assert sum(len(obstacle.bricks) for obstacle in layout.obstacles) <= 95
+
+
+def test_every_bundled_brick_has_a_material_of_the_scene():
+    materials = layout_module._material_names()
+    for name in layout_names():
+        assert {brick.material for obstacle in load_layout(name).obstacles for brick in obstacle.bricks} <= set(
+            materials
+        )
+
+
+def test_obstacles_are_named_and_placed(tmp_path):
+    layout = load(tmp_path, '{ kind = "box", at = [1, 1] }, { kind = "box", at = [1, 3.5], facing_deg = 90 }')
+    assert layout.name == "mine"
+    assert [obstacle.name for obstacle in layout.obstacles] == ["box_1", "box_2"]
+    assert layout.obstacles[1].position == (1, 3.5)
+    assert layout.obstacles[1].yaw == pytest.approx(math.pi / 2)
+    assert layout.ap.facing == pytest.approx(3 * math.pi / 2)
+
+
+def test_a_layout_overrides_kinds_of_the_furniture(tmp_path):
+    layout = load(tmp_path, '{ kind = "sofa", at = [1, 1] }', kinds=BOX.replace("box", "sofa"))
+    assert [brick.size for brick in layout.obstacles[0].bricks] == [(1, 0.5, 1)]
+
+
+def test_array_of_tables_reads_the_same(tmp_path):
+    inline = load(tmp_path, '{ kind = "box", at = [1, 1] }')
+    path = tmp_path / "mine.toml"
+    path.write_text(f'{HEAD}{BOX}[[obstacle]]\nkind = "box"\nat = [1, 1]\n')
+    assert load_layout(str(path)) == inline
+
+
+def test_touching_the_walls_and_each_other_is_allowed(tmp_path):
+    layout = load(tmp_path, '{ kind = "box", at = [0.5, 0.25] }, { kind = "box", at = [1.5, 0.25] }')
+    assert len(layout.obstacles) == 2
+
+
+@pytest.mark.parametrize(
+    ("at", "facing", "overlap"),
+    [
+        ([2.0, 1.0], 0, False),  # end to end
+        ([1.98, 1.0], 0, True),
+        ([1.0, 1.76], 90, False),  # a T, 1 cm apart
+        ([1.0, 1.72], 90, True),
+        ([1.735, 1.735], 45, False),  # a corner before the turned box, whose axes alone separate them
+        ([1.715, 1.715], 45, True),
+    ],
+)
+def test_overlaps_are_found_at_any_angle(tmp_path, at, facing, overlap):
+    obstacles = f'{{ kind = "box", at = [1, 1] }}, {{ kind = "box", at = {at}, facing_deg = {facing} }}'
+    if overlap:
+        with pytest.raises(ConfigError, match="obstacles box_1 and box_2 overlap by 0"):
+            load(tmp_path, obstacles)
+    else:
+        load(tmp_path, obstacles)
+
+
+def test_stacked_obstacles_do_not_overlap(tmp_path):
+    lamp = '[kinds.lamp]\nbricks = [{ at = [0, 0, 2.5], size = [0.5, 0.5, 0.5], material = "metal" }]'
+    layout = load(tmp_path, '{ kind = "box", at = [1, 1] }, { kind = "lamp", at = [1, 1] }', kinds=BOX + lamp)
+    assert layout.obstacles[1].name == "lamp_1"
+
+
+def test_bricks_overhead_leave_the_start_free(tmp_path):
+    lamp = '[kinds.lamp]\nbricks = [{ at = [0, 0, 2.5], size = [6.0, 4.0, 0.5], material = "metal" }]'
+    assert load(tmp_path, '{ kind = "lamp", at = [3, 2] }', kinds=lamp).start == (3, 2)
+
+
+@pytest.mark.parametrize(
+    ("obstacles", "head", "kinds", "message"),
+    [
+        (
+            '{ kind = "throne", at = [1, 1] }',
+            HEAD,
+            BOX,
+            "obstacle.0.kind: 'throne' is not known: it is one of .*box.*sofa",
+        ),
+        ("", HEAD, BOX.replace("wood", "cheese"), "kinds.box.bricks.0.material: 'cheese' is not known: .*wood"),
+        ("", HEAD, BOX.replace("0.5, 1.0]", "0.0, 1.0]"), "bricks.0.size.1: 0.0 is not allowed: .* greater than 0"),
+        ("", HEAD, "[kinds.box]\nbricks = []", "kinds.box.bricks: .* is not allowed"),
+        ("", HEAD, "[kinds.box]\nbrick = []", "kinds.box.bricks? is"),
+        ("", HEAD.replace("6.0", "nan"), BOX, "room.size.0: nan is not allowed"),
+        ("", HEAD.replace("6.0, ", ""), BOX, "room.size.2 is missing"),
+        ("", HEAD.replace("rover", "robot"), BOX, "ro(ver is missing|bot is not a known field)"),
+        ("", HEAD.replace("2.6]", "3.6]"), BOX, r"ap.position: \[3.0, 4.9, 3.6\] is not allowed: the room spans"),
+        ("", HEAD.replace("[3.0, 2.0]", "[0.2, 2.0]"), BOX, r"rover.start: \[0.2, 2.0\] .* 0.3 m inside"),
+        ('{ kind = "box", at = [3, 2.5] }', HEAD, BOX, "rover.start: .* within 0.3 m of obstacle box_1"),
+        ('{ kind = "box", at = [0.3, 1] }', HEAD, BOX, "obstacle box_1 sticks through a wall in x by 0.20 m"),
+        ('{ kind = "box", at = [1, 4.6], facing_deg = 90 }', HEAD, BOX, "box_1 sticks through a wall in y by 0.10 m"),
+        ('{ kind = "box", at = [1, 1] }', HEAD, BOX.replace("0.5]", "2.7]"), "sticks through the floor or the ceiling"),
+        (
+            '{ kind = "box", at = [3, 4.75] }',
+            HEAD,
+            BOX.replace("[0, 0, 0.5]", "[0, 0, 2.5]"),
+            "ap.position: .* within obstacle box_1",
+        ),
+        ("", HEAD, "[kinds.", "is not valid TOML"),
+    ],
+)
+def test_bad_layouts_are_refused(tmp_path, obstacles, head, kinds, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        load(tmp_path, obstacles, head, kinds)
+    assert "mine.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_start_that_is_walled_in_has_no_free_floor(tmp_path):
+    pen = """
+    [kinds.pen]
+    bricks = [
+      { at = [1, 0, 0.5], size = [0.1, 2.1, 1], material = "wood" },
+      { at = [-1, 0, 0.5], size = [0.1, 2.1, 1], material = "wood" },
+      { at = [0, 1, 0.5], size = [1.9, 0.1, 1], material = "wood" },
+      { at = [0, -1, 0.5], size = [1.9, 0.1, 1], material = "wood" },
+    ]
+    """
+    with pytest.raises(ConfigError, match=r"no free floor: the rover can reach 1\.0 m²"):
+        load(tmp_path, '{ kind = "pen", at = [3, 2] }', kinds=pen)
+
+
+@pytest.mark.parametrize(("name", "message"), [("ofice", "clinic, office, open"), ("gone.toml", "cannot be read")])
+def test_unknown_layouts(name, message):
+    with pytest.raises(ConfigError, match=message):
+        load_layout(name)
+
+
+def test_check_layout_says_where_the_layout_comes_from():
+    layout = load_layout("open")
+    moved = layout.__class__(name="moved", room=layout.room, ap=layout.ap, start=(7.5, 0.6), obstacles=layout.obstacles)
+    with pytest.raises(ConfigError, match=r"^jittered: rover\.start.*sofa_1"):
+        check_layout(moved, source="jittered")
+
+
+def test_assets_are_found_beside_the_modules_of_an_installed_package(tmp_path, monkeypatch):
+    package = tmp_path / "mjris"
+    shutil.copytree(layout_module.assets_dir(), package / "assets")
+    monkeypatch.setattr(layout_module, "__file__", str(package / "world" / "layout.py"))
+    assert layout_module.assets_dir() == package / "assets"
+    assert load_layout("office").name == "office"
