@@ -76,9 +76,10 @@ class Simulator:
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
         self._spacing_m = radio.wavelength_m / 2
-        self._ap = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
+        self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
+        """Centres of the APs' arrays [E, 3] [m]."""
         axes = np.stack([self.world.office(e).ap_axis for e in range(num_cells)])
-        self._antennas = channel.uniform_linear_array(self._ap, axes, m, self._spacing_m)
+        self._antennas = channel.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
         people = self.world.office(0).person_bodies
         self._own_bodies = np.concatenate([people, people, [-1]])
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
@@ -176,15 +177,16 @@ class Simulator:
             self._fresh[:] = False
         return self._order
 
+    def bisector(self, places: FloatArray) -> FloatArray:
+        """Where a panel at `places` [E, P, 2] [m] should face: between the AP and the users' middle, [E, P] [rad]."""
+        toward_ap = _direction(self.ap_position[:, None, :2] - places)
+        toward_users = _direction(_direction(self.world.crowd.xy[:, None] - places[:, :, None]).mean(2))
+        middle = toward_ap + toward_users
+        return np.arctan2(middle[..., 1], middle[..., 0])
+
     def _face_panels(self) -> None:
-        """Point panels at the bisector of the directions to the AP and to the users' middle."""
-        if self.config.world.pan == "locked":
-            return
-        panel = self.world.fleet.xy
-        toward_ap = _direction(self._ap[:, :2] - panel)
-        toward_users = _direction(_direction(self.world.crowd.xy - panel[:, None]).mean(1))
-        bisector = toward_ap + toward_users
-        self.world.fleet.face(np.arctan2(bisector[:, 1], bisector[:, 0]))
+        if self.config.world.pan == "auto":
+            self.world.fleet.face(self.bisector(self.world.fleet.xy[:, None])[:, 0])
 
     def _observe(self) -> Scene:
         """Sight, path losses and channels at the present positions."""
@@ -194,7 +196,7 @@ class Simulator:
         # Links run from the receivers outward, so that a user's own body is left at once.
         start = np.concatenate([receivers, receivers, panel[:, None]], 1)
         end = np.concatenate(
-            [np.repeat(self._ap[:, None], k, 1), np.repeat(panel[:, None], k, 1), self._ap[:, None]], 1
+            [np.repeat(self.ap_position[:, None], k, 1), np.repeat(panel[:, None], k, 1), self.ap_position[:, None]], 1
         )
         blockers = world.sight.blockers(start, end, self._own_bodies)
         distance = np.linalg.norm(end - start, axis=-1)
@@ -218,7 +220,7 @@ class Simulator:
         k, m, n = receivers.shape[1], radio.num_antennas, radio.num_elements
         elements = channel.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m)
         normal = channel.panel_normal(heading)
-        ends = np.concatenate([receivers - panel[:, None], (self._ap - panel)[:, None]], 1)
+        ends = np.concatenate([receivers - panel[:, None], (self.ap_position - panel)[:, None]], 1)
         gain = channel.element_gain(radio.element_pattern, radio.element_exponent, normal[:, None], ends)
         amplitude = np.sqrt(propagation.db_to_linear(-loss_db))
         amplitude[:, k:] *= np.sqrt(gain)

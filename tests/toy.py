@@ -1,12 +1,11 @@
 """A small environment for the tests of learning: a point that should be moved to a goal."""
 
-import time
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from mjris.config import Agent, Config, Federation, Radio, Task
+from mjris.config import Config, from_dict
 
 
 class ToyEnv(gym.Env):
@@ -19,7 +18,7 @@ class ToyEnv(gym.Env):
         self._cell = cell
         self._rng = np.random.default_rng((config.seed, cell))
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):  # noqa: ARG002
         if seed is not None:
             self._rng = np.random.default_rng((seed, self._cell))
         self._slot = 0
@@ -39,16 +38,6 @@ class ToyEnv(gym.Env):
         return self._way.astype(np.float32), 1.0 - distance, False, self._slot == self._slots, info
 
 
-class SlowToyEnv(ToyEnv):
-    """Takes half a millisecond of work a slot."""
-
-    def step(self, action: np.ndarray):
-        until = time.perf_counter() + 5e-4
-        while time.perf_counter() < until:
-            pass
-        return super().step(action)
-
-
 class BrokenToyEnv(ToyEnv):
     """Cell 1 fails in its second episode."""
 
@@ -59,23 +48,24 @@ class BrokenToyEnv(ToyEnv):
         return super().reset(seed=seed, options=options)
 
 
-def toy_config(
-    *, network: str = "mlp", discount: float = 0.9, warmup_slots: int = 10, seed: int = 0, **federation: Any
-) -> Config:
-    """Small networks, episodes of 10 slots, two cells."""
-    return Config(
-        radio=Radio(num_antennas=2, panel_rows=2, panel_cols=2),
-        task=Task(slots=10),
-        agent=Agent(
-            network=network,  # type: ignore[arg-type]
-            hidden=(32,),
-            learning_rate=1e-3,
-            batch_size=32,
-            discount=discount,
-            target_rate=0.02,
-            buffer_size=5000,
-            warmup_slots=warmup_slots,
-        ),
-        federation=Federation(**({"num_cells": 2, "episodes": 5, "round_episodes": 2, "workers": 1} | federation)),
-        seed=seed,
+def toy_config(*, seed: int = 0, agent: dict[str, Any] | None = None, **federation: Any) -> Config:
+    """Small networks, episodes of 10 slots; two cells in this process, rounds of 2, 2 and 1 episodes."""
+    small = {
+        "network": "mlp",
+        "hidden": (32,),
+        "learning_rate": 1e-3,
+        "batch_size": 32,
+        "discount": 0.9,
+        "target_rate": 0.02,
+        "buffer_size": 5000,
+        "warmup_slots": 10,
+    }
+    return from_dict(
+        {
+            "radio": {"num_antennas": 2, "panel_rows": 2, "panel_cols": 2},
+            "task": {"slots": 10},
+            "agent": small | (agent or {}),
+            "federation": {"num_cells": 2, "episodes": 5, "round_episodes": 2, "workers": 1} | federation,
+            "seed": seed,
+        }
     )

@@ -4,6 +4,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import torch
 from stable_baselines3 import DDPG
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import ActionNoise
@@ -15,6 +16,27 @@ from torch import nn
 from mjris.config import Agent, Config, Radio
 
 _OU_THETA = 0.15  # rate of mean reversion a slot, the value of the DDPG paper (Lillicrap et al., 2015)
+
+
+class PaperCritic(ContinuousCritic):
+    """SB3's critic with batch normalisation before every linear layer, but none when it judges the actor's actions.
+
+    The mean over a batch of anything behind batch normalisation is constant, and so would be the actor's objective,
+    the mean of Q: its gradient would be exactly zero. The actor is therefore judged with the running statistics.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        # SB3 keeps the network twice: as a submodule, and in the plain list that its forward pass reads.
+        self.qf0 = self.q_networks[0] = _batch_normalised(self.q_networks[0])
+
+    def q1_forward(self, obs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """Value [B, 1] of the actor's own actions [B, A], with the running statistics."""
+        training = self.training
+        self.set_training_mode(False)
+        values = super().q1_forward(obs, actions)
+        self.set_training_mode(training)
+        return values
 
 
 class PaperPolicy(TD3Policy):
@@ -30,12 +52,9 @@ class PaperPolicy(TD3Policy):
         actor.mu = _batch_normalised(actor.mu)
         return actor
 
-    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> PaperCritic:
         """The critic, observation [B, D] and action [B, A] → one value [B, 1]."""
-        critic = super().make_critic(features_extractor)
-        # SB3 keeps the network twice: as a submodule, and in the plain list that its forward pass reads.
-        critic.qf0 = critic.q_networks[0] = _batch_normalised(critic.q_networks[0])
-        return critic
+        return PaperCritic(**self._update_features_extractor(self.critic_kwargs, features_extractor))
 
 
 def _batch_normalised(network: nn.Module) -> nn.Sequential:

@@ -70,16 +70,25 @@ def qos_first_powers(
     gains = decodable_gains(gains, later_users(resolved))
     sequence = xp.broadcast_to(xp.reshape(resolved, (*resolved.shape[:-2], num_users)), gains.shape)
     gains = xp.reshape(xp.take_along_axis(gains, sequence, axis=-1), (*gains.shape[:-1], num_clusters, size))
+    powers = xp.reshape(qos_first_split(gains, budgets, bandwidth_hz, qos_bps), sequence.shape)
+    return xp.take_along_axis(powers, xp.argsort(sequence, axis=-1), axis=-1)
+
+
+def qos_first_split(gains: Array, budget_w: Array, bandwidth_hz: float, qos_bps: float) -> Array:
+    """How a cluster's users share its power, [..., K/V] [W], for effective gains [..., K/V] [1/W] in decoding order.
+
+    `budget_w` [...] [W] is what the cluster spends. See `qos_first_powers`, which applies it to all clusters.
+    """
+    xp = array_namespace(gains)
     # t/(1+t) = 1 - 2^(-R/B), a hair above it so that rounding never leaves a rate below its QoS.
     needed = -math.expm1(-math.log(2) * qos_bps / bandwidth_hz) * (1 + 1e-12)
-    left = xp.broadcast_to(budgets, gains.shape[:-1])
+    left = xp.broadcast_to(budget_w, gains.shape[:-1])
     powers = []
-    for position in range(size - 1):
+    for position in range(gains.shape[-1] - 1):
         power = xp.minimum(needed * (left + 1 / gains[..., position]), left)
         left = left - power
         powers.append(power)
-    powers = xp.reshape(xp.stack([*powers, left], axis=-1), sequence.shape)
-    return xp.take_along_axis(powers, xp.argsort(sequence, axis=-1), axis=-1)
+    return xp.stack([*powers, left], axis=-1)
 
 
 def _aligned_response(channels: Channels, channel: Array, weights: Array | None, response: Array) -> Array:

@@ -100,13 +100,13 @@ class World:
     def clearance(self) -> FloatArray:
         """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
         xy = self.fleet.xy
-        solid = self._hull_solid.distance(xy)
+        solid = self._hull_solid.distance(xy[:, None])[:, 0]
         people = np.linalg.norm(self.crowd.xy - xy[:, None], axis=-1).min(-1) - PERSON_RADIUS_M
         return np.minimum(solid, people) - self.hull_radius_m
 
-    def solid_distance(self, points: FloatArray) -> FloatArray:
-        """Distance from points [E, P, 2] [m] to what the rover's hull can bump into, people aside, [E, P] [m]."""
-        return self._hull_solid.distance(points)
+    def straight_way_free(self, start: FloatArray, end: FloatArray, keep_m: float) -> NDArray[np.bool_]:
+        """Whether segments [E, P, 2] [m] stay `keep_m` [m] from all that the hull can bump into but people, [E, P]."""
+        return self._hull_solid.free_run(start, end, keep_m)
 
     def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
         """Random places [K, 2] [m] with clearance from everything."""

@@ -1,0 +1,137 @@
+"""The Gymnasium environment of one cell, and the SB3 VecEnv of many: both thin over the same task."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+
+from mjris.config import Config, preset
+from mjris.simulator import Slot
+from mjris.task import Task
+
+
+class OfficeEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """One cell; an episode is `task.slots` slots and ends by truncation.
+
+    All randomness follows from the seed of `reset` (at first from the config's) and the cell's number: cells with the
+    same seed share what cells share, and differ in the rest.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own declaration
+
+    def __init__(self, config: Config | None = None, cell: int = 0):
+        self.config = config or preset("office")
+        self.task = Task(self.config, num_cells=1, first_cell=cell)
+        self.observation_space, self.action_space = _spaces(self.task)
+        self._slot = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode: observation [D] and an empty info."""
+        super().reset(seed=seed, options=options)
+        self._slot = 0
+        return self.task.reset(seed)[0], {}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Play one slot with an action [A]."""
+        outcome = self.task.step(np.asarray(action)[None])
+        self._slot += 1
+        truncated = self._slot >= self.config.task.slots
+        return outcome.observation[0], float(outcome.reward[0]), False, truncated, slot_info(outcome.slot, 0)
+
+
+class OfficeVecEnv(VecEnv):
+    """E cells stepped together, with the same numbers as E single environments of the same seed.
+
+    `config` is the office preset by default; cell e has number `first_cell + e`.
+    """
+
+    def __init__(self, num_cells: int, config: Config | None = None, first_cell: int = 0):
+        self.config = config or preset("office")
+        self.task = Task(self.config, num_cells, first_cell)
+        self._slot = 0
+        self._actions = np.zeros((num_cells, self.task.action_size))
+        self._seed: int | None = None
+        self.render_mode = None
+        super().__init__(num_cells, *_spaces(self.task))
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the streams of all cells from the next reset on; cells tell themselves apart by their numbers."""
+        self._seed = seed
+        return [seed] * self.num_envs
+
+    def reset(self) -> VecEnvObs:
+        """Begin an episode in every cell: observations [E, D]."""
+        self._slot = 0
+        observation = self.task.reset(self._seed)
+        self._seed = None
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        return observation
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Take the actions [E, A] of the next slot."""
+        self._actions = np.asarray(actions)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Play one slot; all cells end their episodes together, and begin the next at once."""
+        outcome = self.task.step(self._actions)
+        self._slot += 1
+        done = self._slot >= self.config.task.slots
+        infos = [slot_info(outcome.slot, e) for e in range(self.num_envs)]
+        observation = outcome.observation
+        if done:
+            for info, last in zip(infos, observation, strict=True):
+                info["terminal_observation"] = last
+                info["TimeLimit.truncated"] = True
+            observation = self.reset()
+        return observation, outcome.reward.astype(np.float32), np.full(self.num_envs, done), infos
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute, once for each of the cells asked for."""
+        return [getattr(self, attr_name)] * len(self._get_indices_list(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Raises `AttributeError`: cells have no attributes of their own."""
+        raise AttributeError(f"{attr_name}: the cells of an OfficeVecEnv are configured together, by its config")
+
+    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+        """Raises `AttributeError`: cells have no methods of their own."""
+        raise AttributeError(f"{method_name}: the cells of an OfficeVecEnv have no methods of their own")
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """False for every cell."""
+        return [False] * len(self._get_indices_list(indices))
+
+    def _get_indices_list(self, indices: VecEnvIndices) -> list[int]:
+        return list(self._get_indices(indices))
+
+
+def make_vec(num_cells: int, config: Config | None = None) -> OfficeVecEnv:
+    """E cells as one SB3 VecEnv; the config is the office preset by default."""
+    return OfficeVecEnv(num_cells, config)
+
+
+def slot_info(slot: Slot, cell: int) -> dict[str, Any]:
+    """The info of one cell's slot."""
+    return {
+        "rates_bps": slot.rates_bps[cell],
+        "sum_rate_bps": float(slot.rates_bps[cell].sum()),
+        "qos_met": slot.qos_met[cell],
+        "blockers": slot.scene.blockers[cell],
+        "clearance_m": float(slot.clearance_m[cell]),
+        "collisions": int(slot.collisions[cell]),
+    }
+
+
+def _spaces(task: Task) -> tuple[gym.spaces.Box, gym.spaces.Box]:
+    """Observation and action space of one cell."""
+    observation = gym.spaces.Box(-np.inf, np.inf, (task.observation_size,), np.float32)
+    return observation, gym.spaces.Box(-1.0, 1.0, (task.action_size,), np.float32)

@@ -1,0 +1,34 @@
+"""What the RIS would give at a place, predicted from geometry alone: mean amplitudes, no fading, no interference."""
+
+import math
+
+from array_api_compat import array_namespace
+
+from mjris.config import Radio
+from mjris.radio.control import qos_first_split
+from mjris.radio.propagation import Array
+
+
+def predicted_rates(direct: Array, incident: Array, reflected: Array, clusters: Array, radio: Radio, qos_bps: float) -> Array:
+    """Rates [..., K] [bit/s] under QoS-first powers, in the order of `clusters` int [V, K/V] read row by row.
+
+    `direct` [..., K], `incident` [...] and `reflected` [..., K] are power gains of the links AP–user, AP–RIS and
+    RIS–user, element patterns included. The panel is shared: each user has N/K elements in phase, and the others'
+    elements add up at random. Clusters are taken as perfectly separated.
+    """
+    xp = array_namespace(direct)
+    k, n = direct.shape[-1], radio.num_elements
+    one_element = xp.sqrt(incident[..., None] * reflected) * radio.element_amplitude
+    coherent = xp.sqrt(direct) + n / k * one_element
+    power_gain = radio.num_antennas * (coherent**2 + (n - n / k) * one_element**2)
+    gains = xp.take(power_gain, xp.reshape(clusters, (-1,)), axis=-1) / radio.noise_w
+    if radio.scheme == "oma":
+        # A user has K/V of a cluster's bands' noise, and P/K of the power.
+        share = clusters.shape[1]
+        return radio.bandwidth_hz / share * xp.log1p(gains * share * radio.tx_power_w / k) / math.log(2)
+    gains = xp.sort(xp.reshape(gains, (*gains.shape[:-1], *clusters.shape)), axis=-1)
+    budget = xp.full_like(gains[..., 0], radio.tx_power_w / radio.num_clusters)
+    powers = qos_first_split(gains, budget, radio.bandwidth_hz, qos_bps)
+    later = xp.flip(xp.cumulative_sum(xp.flip(powers, axis=-1), axis=-1), axis=-1) - powers
+    rates = radio.bandwidth_hz * xp.log1p(gains * powers / (gains * later + 1)) / math.log(2)
+    return xp.reshape(rates, direct.shape)

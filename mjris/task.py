@@ -1,0 +1,147 @@
+"""What the agents of E cells observe, decide and are rewarded for: array in, array out, over the simulator."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.config import Config
+from mjris.radio import control
+from mjris.radiomap import penalised, place_values
+from mjris.simulator import Simulator, Slot
+
+FloatArray = NDArray[np.float64]
+
+_MAP_RADII_M = (0.6, 2.0, 5.0)
+_MAP_DIRECTIONS = 8
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One slot seen by the agents."""
+
+    observation: NDArray[np.float32]
+    """[E, D]"""
+    reward: FloatArray
+    """[E] [Mb/s]"""
+    slot: Slot
+
+
+class Task:
+    """The agents' side of a simulator with E cells.
+
+    An action [E, 2 + N + K] in [-1, 1] is a displacement, phases and powers; see `decode` for each.
+    """
+
+    def __init__(self, config: Config, num_cells: int = 1, first_cell: int = 0):
+        self.config = config
+        self.simulator = Simulator(config, num_cells, first_cell)
+        self.action_size = 2 + config.radio.num_elements + config.world.num_users
+        room = [self.simulator.world.office(e).layout.room.size[:2] for e in range(num_cells)]
+        self._half_room = np.array(room) / 2
+        self._reach_m = config.world.max_speed_mps * config.world.slot_s
+        angles = np.arange(_MAP_DIRECTIONS) * 2 * np.pi / _MAP_DIRECTIONS
+        circle = np.stack([np.cos(angles), np.sin(angles)], -1)
+        self._map_offsets = np.concatenate([radius * circle for radius in _MAP_RADII_M])
+        self.observation_size = self.observe().shape[1]
+
+    def reset(self, seed: int | None = None) -> NDArray[np.float32]:
+        """Begin an episode in every cell, with new random streams if a seed is given: observations [E, D]."""
+        if seed is not None:
+            self.simulator.seed(seed)
+        self.simulator.reset()
+        return self.observe()
+
+    def step(self, action: FloatArray) -> Outcome:
+        """Play one slot with actions [E, A]."""
+        slot = self.simulator.step(*self.decode(action))
+        return Outcome(self.observe(), self.reward(slot), slot)
+
+    def decode(self, action: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Displacement [E, 2] [m], phases [E, N] [rad] and powers [E, K] [W] of actions [E, A].
+
+        The displacement is a point of the disc that the rover can reach in a slot. Phases are π times the action,
+        counted from the reference. Powers are shares of what a user may have, (1 + a)/2; with the QoS reference the
+        closed-form powers times 1 + a. Both never exceed the budget.
+        """
+        action = np.clip(np.asarray(action, np.float64), -1, 1)
+        move, phases, powers = np.split(action, [2, self.action_size - self.config.world.num_users], axis=-1)
+        phases_rad = self._phases(phases)
+        return self._displacement(move), phases_rad, self._powers(powers, phases_rad)
+
+    def observe(self) -> NDArray[np.float32]:
+        """Observations of the present scene [E, D], every entry of order one."""
+        parts = self._observe_csi() if self.config.task.observation == "csi" else self._observe_map()
+        return np.concatenate([part.reshape(self.simulator.num_cells, -1) for part in parts], 1).astype(np.float32)
+
+    def reward(self, slot: Slot) -> FloatArray:
+        """Rewards [E] [Mb/s]: eq. (R), minus the same slot's value without RIS if the reward is "gain"."""
+        task = self.config.task
+        value = penalised(slot.rates_bps, task.qos_bps, task.qos_penalty)
+        if task.reward == "gain":
+            value = value - penalised(slot.bare_rates_bps, task.qos_bps, task.qos_penalty)
+        return value / 1e6
+
+    def _displacement(self, move: FloatArray) -> FloatArray:
+        if self.config.task.ris != "mobile":
+            return np.zeros_like(move)
+        length = np.linalg.norm(move, axis=-1, keepdims=True)
+        return self._reach_m * move / np.maximum(length, 1)
+
+    def _phases(self, action: FloatArray) -> FloatArray:
+        if self.config.task.phases == "random":
+            return self.simulator.random_phases()
+        phases = np.pi * action
+        if self.config.task.phase_reference == "aligned":
+            phases = phases + control.aligned_phases(self.simulator.scene.channels)
+        return phases
+
+    def _powers(self, action: FloatArray, phases_rad: FloatArray) -> FloatArray:
+        radio, clusters = self.config.radio, self.simulator.clusters
+        shares = (1 + action) / 2
+        if self.config.task.power_reference == "qos":
+            most = radio.tx_power_w / (radio.num_clusters if radio.scheme == "noma" else action.shape[-1])
+            effective = self.simulator.effective_channel(phases_rad)
+            shares = np.minimum(self.simulator.qos_first_powers(effective) / most * (1 + action), 1)
+        return control.split_powers(shares, clusters, radio.scheme, radio.tx_power_w)
+
+    def _observe_csi(self) -> list[FloatArray]:
+        """The paper's state, eq. (S): positions, path losses, and fading with the path loss taken out."""
+        scene = self.simulator.scene
+        users = scene.users_xy.shape[1]
+        amplitude = 10 ** (scene.path_loss_db / 20)
+        direct, incident, reflected = scene.channels
+        fading = [
+            direct * amplitude[:, :users, None],
+            incident * amplitude[:, -1, None, None],
+            reflected * amplitude[:, users:-1, None],
+        ]
+        return [
+            *self._positions(),
+            _scaled_loss(scene.path_loss_db),
+            *(part for link in fading for part in (link.real, link.imag)),
+        ]
+
+    def _observe_map(self) -> list[FloatArray]:
+        """Positions and path losses, and the gain map: what places around the rover are worth more than its own."""
+        scene, world = self.simulator.scene, self.simulator.world
+        here = scene.rover_xy[:, None]
+        places = here + self._map_offsets
+        values = place_values(self.simulator, np.concatenate([here, places], 1)) / 1e6
+        keep = world.hull_radius_m + self.config.world.bumper_m
+        free = world.straight_way_free(np.broadcast_to(here, places.shape), places, keep)
+        gain = values[:, 1:] - values[:, :1]
+        relative = (scene.users_xy - here) / self._half_room[:, None]
+        return [*self._positions(), relative, _scaled_loss(scene.path_loss_db), values[:, :1], 5 * gain, 1.0 * free]
+
+    def _positions(self) -> list[FloatArray]:
+        scene = self.simulator.scene
+        heading = scene.panel_heading[:, None]
+        rover = scene.rover_xy / self._half_room - 1
+        users = scene.users_xy / self._half_room[:, None] - 1
+        return [rover, np.cos(heading), np.sin(heading), users]
+
+
+def _scaled_loss(loss_db: FloatArray) -> FloatArray:
+    """Path losses [dB] around zero and of order one: indoors at some GHz they lie within 40 and 100 dB."""
+    return (loss_db - 70) / 15
