@@ -1,0 +1,1 @@
+"""Held-out scenes: policies side by side, with intervals."""

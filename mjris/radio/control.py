@@ -55,8 +55,8 @@ def qos_first_powers(
     """Powers of the users [..., K] [W] with the highest sum rate where every user has `qos_bps`, in closed form.
 
     "noma": every cluster spends P/V. In decoding order a user gets just what its QoS takes, t/(1+t) (P_left + 1/e)
-    with t = 2^(R/B) - 1 and the effective gain e, or what is left where that is not enough; the last one gets the
-    rest. "oma": every user has P/K. Other arguments and errors as in `noma_rates` and `split_powers`.
+    with t = 2^(R/B) - 1 and the effective gain e, or nothing where all that is left would not be enough; the last one
+    gets the rest. "oma": every user has P/K. Other arguments and errors as in `noma_rates` and `split_powers`.
     """
     xp = array_namespace(channel)
     num_users = channel.shape[-2]
@@ -85,7 +85,8 @@ def qos_first_split(gains: Array, budget_w: Array, bandwidth_hz: float, qos_bps:
     left = xp.broadcast_to(budget_w, gains.shape[:-1])
     powers = []
     for position in range(gains.shape[-1] - 1):
-        power = xp.minimum(needed * (left + 1 / gains[..., position]), left)
+        wanted = needed * (left + 1 / gains[..., position])
+        power = xp.where(wanted <= left, wanted, 0.0)
         left = left - power
         powers.append(power)
     return xp.stack([*powers, left], axis=-1)

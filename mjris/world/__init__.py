@@ -1,0 +1,1 @@
+"""The physical side: office, rover, people and lines of sight."""

@@ -111,6 +111,9 @@ def _part(name: str) -> mujoco.MjSpec:
 
 def _add_shell(spec: mujoco.MjSpec, layout: Layout) -> None:
     x, y, z = layout.room.size
+    scale = max(x / 15, y / 20)
+    # The view of office.xml is that of 15 m × 20 m.
+    spec.camera("overview").pos = [x / 2, y / 2 - 16.5 * scale, 19.5 * scale]
     floor = spec.geom("floor")
     floor.size, floor.pos = [x / 2, y / 2, 0.1], [x / 2, y / 2, 0]
     t = WALL_THICKNESS_M

@@ -1,0 +1,183 @@
+"""The console command: train, evaluate, render."""
+
+import os
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar, Union
+
+import tyro
+from pydantic import ValidationError
+
+from mjris.config import Config, ConfigError, describe, load, preset
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mjris.eval.evaluate import Act
+
+T = TypeVar("T")
+Flags = Annotated[T, tyro.conf.arg(name="")]
+
+# Rendering needs no screen; MuJoCo reads this when it is first imported.
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+@dataclass(kw_only=True)
+class Train:
+    """Train the agents of all cells and keep the run in a folder."""
+
+    out: Path
+    """Run folder; it must be new or empty."""
+    preset: str = "office"
+    """Where defaults come from: office (recommended), paper (the paper's literal agent) or demo (minutes)."""
+    config: Flags[Config] = field(default_factory=Config)
+
+    def run(self) -> None:
+        """Train."""
+        from mjris.learn.progress import progress_bar
+        from mjris.learn.run import train
+
+        with progress_bar(self.config) as report:
+            train(self.config, self.out, report=report)
+        print(f"run folder: {self.out}")
+
+
+@dataclass(kw_only=True)
+class Evaluate:
+    """Play the trained agent, a fixed RIS, random phases and no RIS on the same held-out scenes."""
+
+    run_dir: Annotated[Path, tyro.conf.arg(name="run")]
+    """Run folder of `mjris train`; its config is where defaults come from."""
+    out: Path | None = None
+    """Where the table goes (.csv); evaluation.csv in the run folder by default."""
+    scenes: int = 50
+    """Held-out scenes, played together."""
+    scene_seed: int = 1_000_003
+    """The scenes follow from this seed."""
+    cell: int = 0
+    """Whose agent is played."""
+    config: Flags[Config] = field(default_factory=Config)
+
+    def run(self) -> None:
+        """Evaluate, print the table and write it."""
+        from rich.console import Console
+
+        from mjris.eval.evaluate import compare
+
+        console = Console()
+        act = _learned(self.run_dir, self.cell, self.config)
+        with console.status("") as status:
+            table = compare(
+                self.config, act, self.scenes, self.scene_seed, lambda name: status.update(f"{name}: {self.scenes} scenes")
+            )
+        _print_table(console, table)
+        path = self.out or self.run_dir / "evaluation.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        table.to_csv(path, index=False, float_format="%.6g")
+        console.print(f"table: {path}", highlight=False, soft_wrap=True)
+
+
+@dataclass(kw_only=True)
+class Render:
+    """Film one episode of the trained agent, and draw its way over the floor."""
+
+    run_dir: Annotated[Path, tyro.conf.arg(name="run")]
+    """Run folder of `mjris train`; its config is where defaults come from."""
+    out: Path | None = None
+    """Folder for video.mp4, frame.png and trajectory.png; the run folder by default."""
+    slots: int = 60
+    """Slots to film."""
+    scene_seed: int = 1_000_003
+    """The scene follows from this seed."""
+    cell: int = 0
+    """Whose agent is played."""
+    config: Flags[Config] = field(default_factory=Config)
+
+    def run(self) -> None:
+        """Play, film and draw."""
+        from mjris.show.film import film
+
+        act = _learned(self.run_dir, self.cell, self.config)
+        for path in film(self.config, act, self.out or self.run_dir, self.slots, self.scene_seed):
+            print(path)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line; bad input ends in one sentence on standard error and status 2."""
+    argv = sys.argv[1:] if argv is None else argv
+    try:
+        _parse(argv).run()
+    except ConfigError as error:
+        sys.exit(_fail(str(error)))
+    except ValidationError as error:
+        sys.exit(_fail(describe(error)))
+
+
+def _parse(argv: list[str]) -> Train | Evaluate | Render:
+    """The command with all of its flags; defaults come from the preset or the run folder that is named."""
+    run_dir, name = _value(argv, "--run"), _value(argv, "--preset")
+    config = preset(name or "office")
+    if run_dir is not None:
+        if not Path(run_dir).is_dir():
+            raise ConfigError(f"run: {run_dir} is not allowed: there is no such folder")
+        config = load(Path(run_dir) / "config.json")
+    missing = tyro.MISSING
+    commands = Union[  # noqa: UP007 - built at run time
+        Annotated[Train, tyro.conf.subcommand("train", default=Train(out=missing, config=config))],
+        Annotated[Evaluate, tyro.conf.subcommand("evaluate", default=Evaluate(run_dir=missing, config=config))],
+        Annotated[Render, tyro.conf.subcommand("render", default=Render(run_dir=missing, config=config))],
+    ]
+    return tyro.cli(commands, prog="mjris", description=__doc__, args=argv)  # type: ignore[arg-type]
+
+
+def _value(argv: list[str], flag: str) -> str | None:
+    """The value of a flag that decides the defaults of the others, and so must be known before they are parsed."""
+    for here, after in zip(argv, [*argv[1:], None], strict=True):
+        if here == flag:
+            return after
+        if here.startswith(f"{flag}="):
+            return here.removeprefix(f"{flag}=")
+    return None
+
+
+def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
+    """The trained agent of a cell, acting without noise. Raises `ConfigError` if the task's sizes differ from its own."""
+    from mjris.learn.run import load_policy
+    from mjris.task import Task
+
+    agent = load_policy(run_dir, cell)
+    task = Task(config)
+    for what, size, space in (
+        ("observation", task.observation_size, agent.observation_space),
+        ("action", task.action_size, agent.action_space),
+    ):
+        if space.shape != (size,):
+            raise ConfigError(
+                f"config: the {what} has {size} entries and the agent in {run_dir} was trained with {space.shape}: "
+                "leave out the flags that change it"
+            )
+    return lambda observation: agent.predict(observation, deterministic=True)[0]
+
+
+def _print_table(console, table: "pd.DataFrame") -> None:  # type: ignore[no-untyped-def]
+    from rich.table import Table
+
+    shown = Table(title=f"{table.scenes[0]} held-out scenes, means and 95 % intervals")
+    for name in ("policy", "sum rate [Mb/s]", "over no RIS", "QoS met", "collisions", "clearance [m]"):
+        shown.add_column(name, justify="left" if name == "policy" else "right")
+    for row in table.itertuples():
+        shown.add_row(
+            row.policy,
+            f"{row.sum_rate_mbps:.3f} ({row.sum_rate_low:.3f} … {row.sum_rate_high:.3f})",
+            f"{row.gain_percent:+.1f} % ({row.gain_low:+.1f} … {row.gain_high:+.1f})",
+            f"{row.qos_share:.1%}",
+            str(row.collisions),
+            f"{row.clearance_m:.3f}",
+        )
+    console.print(shown)
+
+
+def _fail(sentence: str) -> int:
+    print(f"mjris: {sentence}", file=sys.stderr)
+    return 2

@@ -1,0 +1,21 @@
+"""Colours that stay apart for colour-blind eyes (after Okabe and Ito), shared by pictures and video."""
+
+CLEAR = "#14bd95"
+"""Links in line of sight."""
+BLOCKED = "#f26b2e"
+"""Blocked links."""
+ROVER = "#e69f00"
+STOPS = "#0072b2"
+USERS = ("#d6409f", "#56b4e9", "#9c5a2a", "#7a5bd0", "#e0cf1f", "#f2f2f2")
+"""Users in turn; more than these share colours."""
+
+
+def user_colour(user: int) -> str:
+    """Colour of a user as #rrggbb."""
+    return USERS[user % len(USERS)]
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """A #rrggbb colour as bytes."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
