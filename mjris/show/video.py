@@ -192,10 +192,9 @@ class _Stage:
 def _next_geom(
     scene: mujoco.MjvScene, kind: mujoco.mjtGeom, size: FloatArray, place: FloatArray, rgba: FloatArray
 ) -> mujoco.MjvGeom:
-    """A geom appended to the scene, glowing so that its colour is the same everywhere."""
+    """A geom appended to the scene, for the eye only."""
     geom = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(geom, kind, size, place, np.eye(3).ravel(), rgba.astype(np.float32))
-    geom.emission = 0.3
     geom.category = mujoco.mjtCatBit.mjCAT_DECOR
     scene.ngeom += 1
     return geom

@@ -17,8 +17,8 @@ GROUP_BLOCKERS = 1
 """Geom group of the furniture bricks, which block links."""
 GROUP_WALLS = 3
 """Geom group of the room's outer walls."""
-GROUP_BODIES = 5
-"""Geom group of what bumps but is not shown: the rover's hull and wheels, and the people's capsules."""
+GROUP_PEOPLE = 5
+"""Geom group of the people's capsules, which block links if asked to and are not shown."""
 
 WALL_THICKNESS_M = 0.1
 PERSON_RADIUS_M = 0.22
