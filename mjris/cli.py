@@ -13,6 +13,7 @@ from mjris.config import Config, ConfigError, describe, load, preset
 
 if TYPE_CHECKING:
     import pandas as pd
+    from rich.console import Console
 
     from mjris.eval.evaluate import Act
 
@@ -69,7 +70,11 @@ class Evaluate:
         act = _learned(self.run_dir, self.cell, self.config)
         with console.status("") as status:
             table = compare(
-                self.config, act, self.scenes, self.scene_seed, lambda name: status.update(f"{name}: {self.scenes} scenes")
+                self.config,
+                act,
+                self.scenes,
+                self.scene_seed,
+                lambda name: status.update(f"{name}: {self.scenes} scenes"),
             )
         _print_table(console, table)
         path = self.out or self.run_dir / "evaluation.csv"
@@ -99,8 +104,9 @@ class Render:
         from mjris.show.film import film
 
         act = _learned(self.run_dir, self.cell, self.config)
-        for path in film(self.config, act, self.out or self.run_dir, self.slots, self.scene_seed):
-            print(path)
+        if self.slots < 1:
+            raise ConfigError(f"slots: {self.slots} is not allowed: it must be at least 1")
+        film(self.config, act, self.out or self.run_dir, self.slots, self.scene_seed)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -142,7 +148,7 @@ def _value(argv: list[str], flag: str) -> str | None:
 
 
 def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
-    """The trained agent of a cell, acting without noise. Raises `ConfigError` if the task's sizes differ from its own."""
+    """The trained agent of a cell, acting without noise. Raises `ConfigError` if the task's sizes are others."""
     from mjris.learn.run import load_policy
     from mjris.task import Task
 
@@ -160,20 +166,20 @@ def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
     return lambda observation: agent.predict(observation, deterministic=True)[0]
 
 
-def _print_table(console, table: "pd.DataFrame") -> None:  # type: ignore[no-untyped-def]
+def _print_table(console: "Console", table: "pd.DataFrame") -> None:
     from rich.table import Table
 
     shown = Table(title=f"{table.scenes[0]} held-out scenes, means and 95 % intervals")
     for name in ("policy", "sum rate [Mb/s]", "over no RIS", "QoS met", "collisions", "clearance [m]"):
-        shown.add_column(name, justify="left" if name == "policy" else "right")
-    for row in table.itertuples():
+        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=name != "collisions")
+    for row in table.to_dict("records"):
         shown.add_row(
-            row.policy,
-            f"{row.sum_rate_mbps:.3f} ({row.sum_rate_low:.3f} … {row.sum_rate_high:.3f})",
-            f"{row.gain_percent:+.1f} % ({row.gain_low:+.1f} … {row.gain_high:+.1f})",
-            f"{row.qos_share:.1%}",
-            str(row.collisions),
-            f"{row.clearance_m:.3f}",
+            row["policy"],
+            f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.3f} … {row['sum_rate_high']:.3f})",
+            f"{row['gain_percent']:+.1f} % ({row['gain_low']:+.1f} … {row['gain_high']:+.1f})",
+            f"{row['qos_share']:.1%}",
+            str(row["collisions"]),
+            f"{row['clearance_m']:.3f}",
         )
     console.print(shown)
 

@@ -14,7 +14,7 @@ from mjris.simulator import Slot
 from mjris.task import Task
 
 
-class OfficeEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     """One cell; an episode is `task.slots` slots and ends by truncation.
 
     All randomness follows from the seed of `reset` (at first from the config's) and the cell's number: cells with the
@@ -31,13 +31,13 @@ class OfficeEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    ) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin an episode: observation [D] and an empty info."""
         super().reset(seed=seed, options=options)
         self._slot = 0
         return self.task.reset(seed)[0], {}
 
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Play one slot with an action [A]."""
         outcome = self.task.step(np.asarray(action)[None])
         self._slot += 1
@@ -79,7 +79,7 @@ class OfficeVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Play one slot; all cells end their episodes together, and begin the next at once."""
-        outcome = self.task.step(self._actions)
+        outcome = self.task.step(np.asarray(self._actions, np.float64))
         self._slot += 1
         done = self._slot >= self.config.task.slots
         infos = [slot_info(outcome.slot, e) for e in range(self.num_envs)]
@@ -98,11 +98,15 @@ class OfficeVecEnv(VecEnv):
         """The attribute, once for each of the cells asked for."""
         return [getattr(self, attr_name)] * len(self._get_indices_list(indices))
 
+    # Stable-Baselines3 asks for what follows; cells of one simulator have no attributes or methods of their own.
+    # ruff: noqa: ARG002
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Raises `AttributeError`: cells have no attributes of their own."""
         raise AttributeError(f"{attr_name}: the cells of an OfficeVecEnv are configured together, by its config")
 
-    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
         """Raises `AttributeError`: cells have no methods of their own."""
         raise AttributeError(f"{method_name}: the cells of an OfficeVecEnv have no methods of their own")
 

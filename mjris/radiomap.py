@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from mjris.radio import channel, prediction, propagation
 from mjris.simulator import Simulator
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 
 def link_gains(simulator: Simulator, places: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,8 +11,8 @@ from mjris.radio import access, channel, control, propagation
 from mjris.world.layout import load_layout
 from mjris.world.world import World
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+FloatArray = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
 
 
@@ -63,7 +63,7 @@ class _Streams(NamedTuple):
 
 
 class Simulator:
-    """E cells of one config. Cell e is number `first_cell + e` of the run, and random streams follow from that number."""
+    """E cells of one config. Cell e is number `first_cell + e` of the run, from which its random streams follow."""
 
     def __init__(self, config: Config, num_cells: int = 1, first_cell: int = 0):
         self.config = config
@@ -92,7 +92,9 @@ class Simulator:
 
     def seed(self, seed: int, cells: IntArray | None = None) -> None:
         """Restart the random streams of some cells, all by default."""
-        fresh = [_Streams(np.random.default_rng([seed, number, 0]), np.random.default_rng(seed)) for number in self._numbers]
+        fresh = [
+            _Streams(np.random.default_rng([seed, number, 0]), np.random.default_rng(seed)) for number in self._numbers
+        ]
         if cells is None:
             self._streams = fresh
         else:

@@ -10,7 +10,7 @@ from mjris.radio import control
 from mjris.radiomap import penalised, place_values
 from mjris.simulator import Simulator, Slot
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 _MAP_RADII_M = (0.6, 2.0, 5.0)
 _MAP_DIRECTIONS = 8

@@ -1,6 +1,6 @@
 """Speed of the simulator and of federated training, as a table; ratios compare runs of the same minute.
 
-    python scripts/bench.py [--quick]
+python scripts/bench.py [--quick]
 """
 
 import argparse
@@ -83,12 +83,16 @@ def training_rates(repeats: int, slots: int) -> tuple[list[float], list[float]]:
                 task=replace(base.task, slots=slots),
                 federation=replace(base.federation, num_cells=4, episodes=12, round_episodes=4, workers=workers),
             )
-            with tempfile.TemporaryDirectory() as folder:
-                finished: list[float] = []
-                train(config, Path(folder) / "run", report=lambda _: finished.append(time.perf_counter()))
-            # From the first round's end to the last one's: start-up and warm-up are behind.
-            measured.append(4 * 8 * slots / (finished[-1] - finished[0]))
+            measured.append(4 * 8 * slots / training_seconds(config))
     return rates[1], rates[2]
+
+
+def training_seconds(config: Config) -> float:
+    """From the end of the first round, when start-up and warm-up are behind, to the end of the last."""
+    finished: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        train(config, Path(folder) / "run", report=lambda _: finished.append(time.perf_counter()))
+    return finished[-1] - finished[0]
 
 
 def env_stepper(env: OfficeVecEnv) -> Callable[[int], None]:

@@ -83,8 +83,8 @@ def test_random_links_in_the_bundled_layouts(name):
     start, end = rng.uniform(0, layout.room.size, (2, 6000, 3))
     start[:2000, 2], end[:2000, 2] = 1.1, 1.5
     end[2000:4000] = layout.ap.position
-    # Nobody transmits from within furniture; where two obstacles touch, such a link could leave one as it enters the other.
-    free = crossed(layout, start, start + [0, 0, 1e-9], 0) == 0
+    # Nobody transmits from within furniture. Where two obstacles touch, it might leave one as it enters the other.
+    free = crossed(layout, start, start + np.array([0, 0, 1e-9]), 0) == 0
     assert free.sum() > 5000
     counts = assert_counts_agree(layout, start[free], end[free])
     assert {0, 1, 2} <= set(counts)

@@ -11,7 +11,7 @@ from mjris.config import Config, ConfigError
 from mjris.radiomap import penalised
 from mjris.task import Task
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """Actions [E, A] for observations [E, D]."""

@@ -9,7 +9,9 @@ from mjris.radio.control import qos_first_split
 from mjris.radio.propagation import Array
 
 
-def predicted_rates(direct: Array, incident: Array, reflected: Array, clusters: Array, radio: Radio, qos_bps: float) -> Array:
+def predicted_rates(
+    direct: Array, incident: Array, reflected: Array, clusters: Array, radio: Radio, qos_bps: float
+) -> Array:
     """Rates [..., K] [bit/s] under QoS-first powers, in the order of `clusters` int [V, K/V] read row by row.
 
     `direct` [..., K], `incident` [...] and `reflected` [..., K] are power gains of the links AP–user, AP–RIS and

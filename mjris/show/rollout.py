@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjris.task import Task
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """From observations [E, D] to actions [E, A]."""
@@ -68,9 +69,9 @@ def record(task: Task, act: Act, slots: int, seed: int) -> Rollout:
     simulator = task.simulator
     world = simulator.world
     live = {name: world.batch.bind(name) for name in ("qpos", "mocap_pos", "mocap_quat")}
-    track: dict[str, list[np.ndarray]] = {name: [] for name in live}
+    track: dict[str, list[NDArray[Any]]] = {name: [] for name in live}
 
-    def keep(**values: FloatArray) -> None:
+    def keep(**values: NDArray[Any]) -> None:
         for name, value in values.items():
             track.setdefault(name, []).append(np.array(value[0]))
 
@@ -79,7 +80,7 @@ def record(task: Task, act: Act, slots: int, seed: int) -> Rollout:
     try:
         for _ in range(slots):
             scene = simulator.scene
-            displacement_m, phases_rad, powers_w = task.decode(act(observation))
+            displacement_m, phases_rad, powers_w = task.decode(np.asarray(act(observation), np.float64))
             slot = simulator.step(displacement_m, phases_rad, powers_w)
             keep(
                 phases_rad=phases_rad,

@@ -1,5 +1,7 @@
 """The rover's path through an office, seen from above."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 import math
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from mjris.show.palette import ROVER, STOPS, user_colour
 from mjris.show.rollout import Rollout
 from mjris.world.office import GROUP_BLOCKERS, Office
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 _GRID_M = 0.1
 _HEIGHTS = ListedColormap(np.linspace(0.88, 0.35, 256)[:, None] * np.ones(3))
@@ -108,7 +110,9 @@ def _draw_walks(axes: Axes, users_xy: FloatArray) -> None:
     for user, walk in enumerate(np.moveaxis(users_xy, 1, 0)):
         colour = user_colour(user)
         axes.plot(*walk.T, color=colour, lw=0.7, zorder=3)
-        axes.plot(*walk[-1], ls="", marker="o", ms=4.5, color=colour, mec=_INK, mew=0.5, zorder=5, label=f"user {user + 1}")
+        axes.plot(
+            *walk[-1], ls="", marker="o", ms=4.5, color=colour, mec=_INK, mew=0.5, zorder=5, label=f"user {user + 1}"
+        )
 
 
 def _draw_path(axes: Axes, rover_xy: FloatArray) -> None:

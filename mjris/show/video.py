@@ -1,5 +1,7 @@
 """Films an episode: the office from above, links in the colour of their sight, rates in words, the rover close by."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 import copy
 import math
 from collections.abc import Callable, Iterator
@@ -16,9 +18,9 @@ from mjris.config import Config, ConfigError
 from mjris.show.overlay import Overlay, Picture, phase_rgb
 from mjris.show.palette import BLOCKED, CLEAR, ROVER, rgb, user_colour
 from mjris.show.rollout import Rollout
-from mjris.world.office import Office
+from mjris.world.office import GROUP_BLOCKERS, Office
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
 _SHOWN_GROUPS = (0, 1, 2, 3)
@@ -60,10 +62,11 @@ def write_video(
         raise ConfigError(f"video size: {width} × {height} is not allowed: H.264 needs even numbers of pixels")
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     path.parent.mkdir(parents=True, exist_ok=True)
+    film = _film(config, office, rollout, range(rollout.frames), camera, width, height)
     partial = path.with_name(f".{path.stem}.partial.mp4")
     try:
         with mediapy.VideoWriter(partial, (height, width), fps=fps, crf=20) as writer:
-            for done, picture in enumerate(_film(config, office, rollout, range(rollout.frames), camera, width, height)):
+            for done, picture in enumerate(film):
                 writer.add_image(picture)
                 progress(done + 1, rollout.frames)
         partial.replace(path)
@@ -92,7 +95,7 @@ def link_lines(ap: FloatArray, panel: FloatArray, receivers: FloatArray, blocker
     ends = [*receivers, *receivers, panel]
     clear, blocked = (np.array([*rgb(colour), alpha]) / 255 for colour, alpha in ((CLEAR, 230), (BLOCKED, 110)))
     return [
-        Line(start, end, blocked, 0.018) if count else Line(start, end, clear, 0.03)
+        Line(start, end, blocked, 0.02) if count else Line(start, end, clear, 0.035)
         for start, end, count in zip(starts, ends, blockers, strict=True)
     ]
 
@@ -105,6 +108,8 @@ def _film(
     overlay = Overlay(rollout, (config.radio.panel_rows, config.radio.panel_cols), column, height)
     stage = _Stage(config, office, rollout, camera, width - column, height)
     with stage.renderer(width - column, height) as main, stage.renderer(*overlay.inset_size) as inset:
+        # Shadows take most of the time, and nobody misses them in the small picture.
+        inset.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         for frame in frames:
             stage.pose(frame)
             words = overlay.draw(rollout.slot_of(frame), stage.shoot(inset, "rover/chase"))
@@ -166,6 +171,7 @@ class _Stage:
         """A picture of the present pose."""
         renderer.update_scene(self._data, camera, self._option)
         scene = renderer.scene
+        self._fade(scene, self._before_rover(camera))
         for line in self._lines:
             geom = _next_geom(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3), np.zeros(3), line.rgba)
             mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, line.radius_m, line.start, line.end)
@@ -173,6 +179,24 @@ class _Stage:
         disc = np.array([*rgb(ROVER), 150]) / 255
         _next_geom(scene, mujoco.mjtGeom.mjGEOM_CYLINDER, np.array([0.5, 0.005, 0]), np.array([*xy, 0.01]), disc)
         return renderer.render()
+
+    def _before_rover(self, camera: str) -> IntArray:
+        """The bricks that hide the rover's base or its panel from a camera, -1 for none [2]."""
+        data = self._data
+        eye = data.cam_xpos[self._model.camera(camera).id]
+        ways = np.stack([data.body(f"rover/{part}").xpos - eye for part in ("chassis", "panel/panel")])
+        groups = (np.arange(mujoco.mjNGROUP) == GROUP_BLOCKERS).astype(np.uint8)
+        geom, distance = np.empty(2, np.int32), np.empty(2)
+        mujoco.mj_multiRay(self._model, data, eye, ways.ravel(), groups, True, -1, geom, distance, None, 2, 1e9)
+        # Distances are in lengths of the way.
+        return np.where(distance < 1, geom, -1)
+
+    def _fade(self, scene: mujoco.MjvScene, geoms: IntArray) -> None:
+        """Let one see through some geoms."""
+        for shown in scene.geoms[: scene.ngeom]:
+            if shown.objtype == mujoco.mjtObj.mjOBJ_GEOM and shown.objid in geoms:
+                shown.rgba[3] = 0.35
+                shown.transparent = True
 
     def _widen(self, camera: str, aspect: float) -> None:
         """Open the camera's angle in narrow pictures."""

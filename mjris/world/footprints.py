@@ -1,5 +1,7 @@
 """Plan-view outlines of everything solid, and exact distances to them."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 from dataclasses import dataclass
 
 import mujoco
@@ -8,7 +10,7 @@ from numpy.typing import NDArray
 
 from mjris.world.office import GROUP_BLOCKERS, GROUP_WALLS, Office
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Footprints:
             middle = -origin * inverse
             reach = np.abs((half[:, None] + inflate) * inverse)
             enter, leave = np.maximum(enter, middle - reach), np.minimum(leave, middle + reach)
-        return ~(enter < leave).any(-1)
+        return np.logical_not((enter < leave).any(-1))
 
     def _local(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coordinates of points [E, P, 2] along and across every rectangle, [E, P, B] each."""

@@ -33,4 +33,6 @@ def _moved(layout: Layout, index: int, dx: float, dy: float) -> Layout:
     obstacle = layout.obstacles[index]
     x, y = obstacle.position
     others = layout.obstacles
-    return replace(layout, obstacles=(*others[:index], replace(obstacle, position=(x + dx, y + dy)), *others[index + 1 :]))
+    return replace(
+        layout, obstacles=(*others[:index], replace(obstacle, position=(x + dx, y + dy)), *others[index + 1 :])
+    )

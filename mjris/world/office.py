@@ -1,5 +1,7 @@
 """From a layout and the parts in assets/ to one compiled MuJoCo model, and the ids that the rest uses."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 from mjris.config import Config
 from mjris.world.layout import Layout, assets_dir
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 GROUP_BLOCKERS = 1
 """Geom group of the furniture bricks, which block links."""
@@ -126,7 +128,12 @@ def _add_shell(spec: mujoco.MjSpec, layout: Layout) -> None:
     for name, (pos, size) in sides.items():
         _add_box(spec.worldbody, spec.find_default("wall"), name, pos, size, "wall")
     _add_box(
-        spec.worldbody, spec.find_default("ceiling"), "ceiling", [x / 2, y / 2, z + 0.05], [x / 2, y / 2, 0.05], "ceiling"
+        spec.worldbody,
+        spec.find_default("ceiling"),
+        "ceiling",
+        [x / 2, y / 2, z + 0.05],
+        [x / 2, y / 2, 0.05],
+        "ceiling",
     )
 
 
@@ -176,7 +183,7 @@ def _add_rover(spec: mujoco.MjSpec, config: Config) -> None:
 
 
 def _add_contacts(spec: mujoco.MjSpec, config: Config) -> None:
-    """All that can touch, pair by pair: MuJoCo's search over all bodies takes half as long again as a step without it."""
+    """All that can touch, pair by pair: with MuJoCo's search over all bodies a step takes a third longer."""
     world = config.world
     # The bumper must report an obstacle one tick before the rover is within the distance that it keeps.
     reach = world.bumper_m + world.max_speed_mps * world.slot_s / world.ticks_per_slot
@@ -186,7 +193,9 @@ def _add_contacts(spec: mujoco.MjSpec, config: Config) -> None:
         spec.add_pair(geomname1="rover/hull", geomname2=name, gap=reach, margin=0, condim=1)
     if world.drive == "wheels":
         for side in ("left", "right"):
-            spec.add_pair(geomname1=f"rover/tread_{side}", geomname2="floor", condim=3, friction=[1, 1, 0.005, 1e-4, 1e-4])
+            spec.add_pair(
+                geomname1=f"rover/tread_{side}", geomname2="floor", condim=3, friction=[1, 1, 0.005, 1e-4, 1e-4]
+            )
         for end in ("front", "back"):
             spec.add_pair(geomname1=f"rover/caster_{end}", geomname2="floor", condim=1)
 

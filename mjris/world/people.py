@@ -8,7 +8,7 @@ from mjris.config import World
 from mjris.world.footprints import Footprints
 from mjris.world.office import PERSON_RADIUS_M, Office
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 
 class Crowd:
@@ -49,7 +49,7 @@ class Crowd:
         step = np.where((apart.min(-1) >= 2 * PERSON_RADIUS_M + self._config.clearance_m)[..., None], step, 0)
         self._stride = step / self._config.ticks_per_slot
         half = direction / 2
-        walking = self._stride.any(-1)
+        walking = np.logical_or(self._stride[..., 0] != 0, self._stride[..., 1] != 0)
         facing = np.stack([np.cos(half), np.zeros_like(half), np.zeros_like(half), np.sin(half)], -1)
         self._mocap_quat[:, self._ids] = np.where(walking[..., None], facing, self._mocap_quat[:, self._ids])
 
@@ -59,7 +59,7 @@ class Crowd:
         ahead = away + self._stride
         gap_now, gap = _squared_length(away), _squared_length(ahead)
         # Whom the rover has come close to may still walk away from it.
-        room = (gap >= self._from_rover**2) | (gap > gap_now)
+        room = np.logical_or(gap >= self._from_rover**2, gap > gap_now)
         self._xy += self._stride * room[..., None]
         self._mocap_pos[:, self._ids, :2] = self._xy
 

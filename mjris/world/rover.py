@@ -1,5 +1,7 @@
 """Drives the rovers of all cells: wheel commands toward the commanded place, and the bumper that stops them."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 import math
 
 import mujoco
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from mjris.config import World
 from mjris.world.office import Office
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 _WHEEL_RADIUS_M = 0.08
 _HALF_TRACK_M = 0.17

@@ -1,5 +1,7 @@
 """Which obstacles block each link: rays from transmitter to receiver, one obstacle further each round."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
@@ -7,7 +9,7 @@ from numpy.typing import NDArray
 
 from mjris.world.office import GROUP_BLOCKERS, GROUP_PEOPLE, Office
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
 _NUDGE_M = 1e-6

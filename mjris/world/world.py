@@ -24,7 +24,7 @@ from mjris.world.people import Crowd
 from mjris.world.rover import Fleet
 from mjris.world.sight import Sight
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
 _PLACING_TRIES = 2000
@@ -78,11 +78,12 @@ class World:
         start = np.array([self.office(int(e)).layout.start for e in cells])
         heading = np.array([rng.uniform(-np.pi, np.pi) for rng in generators])
         self.fleet.place(cells, start, heading)
-        self.crowd.place(cells, np.stack([self._free_places(int(e), rng) for e, rng in zip(cells, generators, strict=True)]))
+        places = [self._free_places(int(e), rng) for e, rng in zip(cells, generators, strict=True)]
+        self.crowd.place(cells, np.stack(places))
         self.fleet.sense()
 
     def move(self, displacement: FloatArray, distance: FloatArray, direction: FloatArray) -> Motion:
-        """One slot: rovers by `displacement` [E, 2] [m], people by `distance` [E, K] [m] in `direction` [E, K] [rad]."""
+        """One slot: rovers move by `displacement` [E, 2] [m], people `distance` [m], `direction` [rad], both [E, K]."""
         target = self.fleet.xy + displacement
         self.crowd.plan(distance, direction)
         nearest = np.full(self.num_cells, np.inf)

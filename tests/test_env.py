@@ -1,0 +1,219 @@
+import warnings
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import mjris
+from mjris.config import Config, preset
+from mjris.env import OfficeEnv, OfficeVecEnv
+from mjris.radio import control
+from mjris.task import Task
+
+INFO = {"rates_bps", "sum_rate_bps", "qos_met", "blockers", "clearance_m", "collisions"}
+
+
+def changed(base: Config, **fields) -> Config:
+    """The config with fields changed wherever they belong: changed(c, scheme="oma", slots=5)."""
+    for part in ("world", "radio", "task"):
+        section = getattr(base, part)
+        mine = {name: value for name, value in fields.items() if hasattr(section, name)}
+        base = replace(base, **{part: replace(section, **mine)})
+    return base
+
+
+OFFICE = preset("office")
+TASK = Task(changed(OFFICE, phase_reference="zero", power_reference="even"))
+QOS_TASKS = [Task(changed(OFFICE, scheme=scheme)) for scheme in ("noma", "oma")]
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+@pytest.mark.parametrize("name", ["paper", "office", "demo"])
+def test_checkers_of_gymnasium_and_sb3(name, scheme):
+    env = OfficeEnv(changed(preset(name), scheme=scheme))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(infinity|same dtype|spec).*")
+        check_env(env, skip_render_check=True)
+        sb3_check_env(env, warn=False)
+
+
+def test_made_by_gymnasium_with_everything_in_info():
+    env = gym.make("mjris/Office-v0", config=changed(OFFICE, slots=3))
+    observation, _ = env.reset(seed=1)
+    assert observation in env.observation_space
+    for slot in range(3):
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        assert observation in env.observation_space
+        assert (terminated, truncated) == (False, slot == 2)
+        assert set(info) >= INFO
+        assert info["rates_bps"].shape == info["qos_met"].shape == (4,)
+        assert info["sum_rate_bps"] == pytest.approx(info["rates_bps"].sum())
+        np.testing.assert_array_equal(info["qos_met"], info["rates_bps"] >= 10e3)
+        assert info["blockers"].shape == (9,)
+        assert info["clearance_m"] > 0
+        assert info["collisions"] == 0
+        assert np.isfinite(reward)
+
+
+@pytest.mark.parametrize("name", ["paper", "office"])
+def test_vec_env_is_single_environments_side_by_side(name):
+    config = changed(preset(name), slots=4, difference_factor=0.5, phases="random" if name == "paper" else "learned")
+    vec = OfficeVecEnv(3, config)
+    vec.seed(17)
+    singles = [OfficeEnv(config, cell=e) for e in range(3)]
+    together = vec.reset()
+    alone = np.stack([env.reset(seed=17)[0] for env in singles])
+    rng = np.random.default_rng(3)
+    np.testing.assert_allclose(together, alone, atol=1e-5)
+    for slot in range(10):
+        actions = rng.uniform(-1, 1, (3, vec.task.action_size)).astype(np.float32)
+        vec.step_async(actions)
+        together, rewards, dones, infos = vec.step_wait()
+        assert isinstance(together, np.ndarray)
+        for e, env in enumerate(singles):
+            observation, reward, _, truncated, info = env.step(actions[e])
+            assert dones[e] == truncated == (slot % 4 == 3)
+            if truncated:
+                np.testing.assert_allclose(infos[e]["terminal_observation"], observation, atol=1e-5)
+                assert infos[e]["TimeLimit.truncated"]
+                observation, _ = env.reset()
+            np.testing.assert_allclose(together[e], observation, atol=1e-5)
+            assert rewards[e] == pytest.approx(reward, rel=1e-5, abs=1e-5)
+            np.testing.assert_allclose(infos[e]["rates_bps"], info["rates_bps"], rtol=1e-9)
+
+
+def test_make_vec():
+    vec = mjris.make_vec(2)
+    assert isinstance(vec, mjris.OfficeVecEnv)
+    observation = vec.reset()
+    assert isinstance(observation, np.ndarray)
+    assert observation.shape == (2, *(vec.observation_space.shape or ()))
+    assert vec.config == preset("office")
+
+
+def play(config: Config, slots: int, cells: int = 4, seed: int = 0):
+    """Outcomes of random actions."""
+    task, rng = Task(config, cells), np.random.default_rng(seed)
+    return [task.step(rng.uniform(-1, 1, (cells, task.action_size))) for _ in range(slots)]
+
+
+@pytest.mark.parametrize("name", ["paper", "office"])
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_observations_are_of_order_one(name, scheme):
+    config = changed(preset(name), scheme=scheme, drive="kinematic")
+    seen = np.concatenate([outcome.observation for outcome in play(config, 50, cells=8)])
+    assert np.isfinite(seen).all()
+    assert abs(seen).max() < 20
+    assert 0.1 < seen.std() < 5
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 30), st.booleans())
+def test_power_and_displacement_never_exceed_their_budgets(seed, scale, signs):
+    action = np.random.default_rng(seed).uniform(-scale, scale, (1, TASK.action_size))
+    action = np.sign(action) if signs else action
+    for task in (TASK, *QOS_TASKS):
+        move, phases, powers = task.decode(action)
+        radio = task.config.radio
+        budget = radio.tx_power_w * (1 + 1e-12)
+        assert (powers >= 0).all()
+        assert powers.sum() <= budget
+        if radio.scheme == "noma":
+            assert (powers[:, task.simulator.clusters].sum(-1) <= budget / radio.num_clusters).all()
+        else:
+            assert (powers <= budget / powers.shape[1]).all()
+        assert np.linalg.norm(move) <= 0.5 + 1e-12
+        assert np.isfinite(phases).all()
+
+
+def test_plain_actions_mean_what_they_say():
+    action = np.zeros((1, TASK.action_size))
+    action[0, :2] = 0.6, -0.8
+    action[0, 2:18] = np.linspace(-1, 1, 16)
+    action[0, 18:] = 0.0, -0.5, -1.0, 1.0
+    move, phases, powers = TASK.decode(action)
+    np.testing.assert_allclose(move, [[0.3, -0.4]])
+    np.testing.assert_allclose(phases[0], np.pi * np.linspace(-1, 1, 16))
+    np.testing.assert_allclose(powers[0], [0.05 * 0.5, 0.05 * 0.25, 0, 0.05])
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_action_zero_is_the_closed_forms(scheme):
+    task = Task(changed(OFFICE, scheme=scheme), num_cells=3)
+    simulator, radio = task.simulator, task.config.radio
+    move, phases, powers = task.decode(np.zeros((3, task.action_size)))
+    np.testing.assert_array_equal(move, np.zeros((3, 2)))
+    aligned = control.aligned_phases(simulator.scene.channels)
+    np.testing.assert_allclose(phases, aligned)
+    budget = radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, task.config.task.qos_bps
+    best = control.qos_first_powers(simulator.effective_channel(aligned), simulator.clusters, scheme, *budget)
+    np.testing.assert_allclose(powers, best, rtol=1e-12)
+
+
+def value(rates_bps: np.ndarray) -> np.ndarray:
+    """The paper's reward [Mb/s], user by user."""
+    return np.array([sum(rates) / (1 if min(rates) >= 10e3 * (1 - 1e-9) else 2) / 1e6 for rates in rates_bps])
+
+
+def test_rewards():
+    for kind in ("sum_rate", "gain"):
+        missed = []
+        for outcome in play(changed(OFFICE, reward=kind), 20):
+            bare = value(outcome.slot.bare_rates_bps) if kind == "gain" else 0
+            np.testing.assert_allclose(outcome.reward, value(outcome.slot.rates_bps) - bare, atol=1e-12)
+            missed.append(~outcome.slot.qos_met.all(-1))
+        assert 0 < np.mean(missed) < 1
+
+
+def test_random_phases_are_reproducible_and_ignore_the_action():
+    config = changed(OFFICE, phases="random")
+    first, again, other = (Task(config, 2) for _ in range(3))
+    other.reset(seed=99)
+    phases = [task.decode(np.full((2, task.action_size), 0.3 * i))[1] for i, task in enumerate((first, again, other))]
+    np.testing.assert_array_equal(phases[0], phases[1])
+    assert not np.allclose(phases[0], phases[2])
+    assert not np.allclose(phases[0][0], phases[0][1])
+    assert not np.allclose(first.decode(np.zeros((2, first.action_size)))[1], phases[0])
+    assert abs(phases[0]).max() <= np.pi
+
+
+@pytest.mark.parametrize("mode", ["mobile", "fixed", "none"])
+def test_modes_of_the_ris(mode):
+    config = changed(OFFICE, ris=mode)
+    outcomes = play(config, 10)
+    moved = np.linalg.norm([outcome.slot.displacement_m for outcome in outcomes], axis=-1)
+    assert moved.max() <= 0.5 + 1e-9
+    assert (moved > 0).any() == (mode == "mobile")
+
+
+def test_none_with_the_closed_form_powers_gains_nothing():
+    task = Task(changed(OFFICE, ris="none"), num_cells=4)
+    for _ in range(5):
+        np.testing.assert_allclose(task.step(np.zeros((4, task.action_size))).reward, 0, atol=1e-12)
+
+
+def test_closed_forms_on_a_fixed_ris_gain_something():
+    task = Task(changed(OFFICE, ris="fixed"), num_cells=8)
+    rewards = [task.step(np.zeros((8, task.action_size))).reward for _ in range(30)]
+    assert np.mean(rewards) > 0.02
+
+
+@pytest.mark.parametrize("name", ["paper", "office"])
+def test_rewards_do_not_collapse_after_the_first_episode(name):
+    vec = OfficeVecEnv(24, changed(preset(name), slots=15, drive="kinematic"))
+    rng = np.random.default_rng(0)
+    vec.reset()
+    episodes = []
+    for _ in range(3):
+        rewards = [vec.step(rng.uniform(-1, 1, (24, vec.task.action_size)))[1] for _ in range(15)]
+        episodes.append(np.mean(rewards, 0))
+    for later in episodes[1:]:
+        spread = np.hypot(later.std(), episodes[0].std()) / np.sqrt(24)
+        assert abs(later.mean() - episodes[0].mean()) < 4 * spread
+        assert 0.3 < later.std() / episodes[0].std() < 3
+        assert not np.allclose(later, episodes[0])

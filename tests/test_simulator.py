@@ -1,0 +1,217 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjris.config import Config, Radio, Task, World
+from mjris.radio import access, control
+from mjris.simulator import Simulator, Slot
+
+
+def config(drive: str = "kinematic", task: Task | None = None, layout: str = "office", **radio) -> Config:
+    world = World(drive=drive, layout=layout)  # pyright: ignore[reportArgumentType]
+    return Config(world=world, radio=Radio(**radio), task=task or Task())
+
+
+def inputs(simulator: Simulator, rng: np.random.Generator, cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Random displacements, phases and powers."""
+    radio, users = simulator.config.radio, simulator.config.world.num_users
+    phases = rng.uniform(-math.pi, math.pi, (cells, radio.num_elements))
+    return rng.uniform(-0.35, 0.35, (cells, 2)), phases, rng.uniform(0, radio.tx_power_w / users, (cells, users))
+
+
+def play(simulator: Simulator, slots: int, seed: int = 0) -> list[Slot]:
+    rng = np.random.default_rng(seed)
+    return [simulator.step(*inputs(simulator, rng, simulator.num_cells)) for _ in range(slots)]
+
+
+def assert_same(a: Slot, b: Slot, cell: int, tolerance: float) -> None:
+    """Cell `cell` of slot `a` is the one of slot `b`."""
+    for name in ("rates_bps", "bare_rates_bps"):
+        np.testing.assert_allclose(getattr(a, name)[cell], getattr(b, name)[0], rtol=tolerance)
+    np.testing.assert_allclose(a.displacement_m[cell], b.displacement_m[0], atol=tolerance)
+    np.testing.assert_allclose(a.scene.users_xy[cell], b.scene.users_xy[0], atol=tolerance)
+    np.testing.assert_array_equal(a.scene.blockers[cell], b.scene.blockers[0])
+    for one, other in zip(a.scene.channels, b.scene.channels, strict=True):
+        np.testing.assert_allclose(one[cell], other[0], rtol=0, atol=tolerance * abs(other).max())
+
+
+@pytest.mark.parametrize(("drive", "tolerance"), [("kinematic", 1e-12), ("wheels", 1e-9)])
+@pytest.mark.parametrize("factor", [0.0, 0.5])
+def test_cells_together_are_cells_one_by_one(drive, tolerance, factor):
+    settings = config(drive, difference_factor=factor, fading_memory=0.7)
+    together = Simulator(settings, num_cells=3)
+    rng = np.random.default_rng(6)
+    commands = [inputs(together, rng, 3) for _ in range(8)]
+    slots = [together.step(*command) for command in commands]
+    for cell in range(3):
+        single = Simulator(settings, num_cells=1, first_cell=cell)
+        for slot, command in zip(slots, commands, strict=True):
+            assert_same(slot, single.step(*(part[cell : cell + 1] for part in command)), cell, tolerance)
+
+
+def blocked_fading(simulator: Simulator) -> np.ndarray:
+    """Small-scale fading of the direct channels [E, K, M] where the link is blocked, NaN elsewhere."""
+    scene = simulator.scene
+    direct = scene.channels.direct * 10 ** (scene.path_loss_db[:, :4, None] / 20)
+    return np.where(scene.blockers[:, :4, None] > 0, direct, np.nan)
+
+
+def fading_of_two_cells(factor: float) -> tuple[np.ndarray, np.ndarray]:
+    simulator = Simulator(config(difference_factor=factor), num_cells=16)
+    pairs = []
+    for _ in range(40):
+        play(simulator, 1)
+        fading = blocked_fading(simulator)
+        pairs.append(np.stack([fading[:-1], fading[1:]]).reshape(2, -1))
+    pairs = np.concatenate(pairs, 1)
+    first, second = pairs[:, ~np.isnan(pairs).any(0)]
+    assert first.size > 300
+    return first, second
+
+
+def test_difference_factor_zero_is_the_same_fading_in_all_cells():
+    np.testing.assert_allclose(*fading_of_two_cells(0.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("factor", [0.4, 1.0])
+def test_difference_factor_is_what_correlation_lacks(factor):
+    first, second = fading_of_two_cells(factor)
+    # Pairs overlap and a shared draw serves all cells, so that few are independent: a loose bound.
+    assert abs(np.mean(first * second.conj()) - (1 - factor)) < 0.1
+    assert np.mean(abs(first) ** 2) == pytest.approx(1, abs=0.15)
+
+
+def test_frozen_fading():
+    still = replace(World(drive="kinematic"), walk_scale_m=0.0)
+    frozen = Simulator(Config(world=still, radio=Radio(fading_memory=1.0)), num_cells=2)
+    fresh = Simulator(Config(world=still, radio=Radio(fading_memory=0.0)), num_cells=2)
+    rest = np.zeros((2, 2)), np.zeros((2, 16)), np.full((2, 4), 0.025)
+    for simulator, same in [(frozen, True), (fresh, False)]:
+        before = simulator.scene.channels
+        after = simulator.step(*rest).scene.channels
+        assert [np.allclose(a, b, rtol=1e-12, atol=0) for a, b in zip(before, after, strict=True)] == [same] * 3
+        simulator.reset()
+        assert not np.allclose(simulator.scene.channels.incident, after.incident, rtol=1e-3, atol=0)
+
+
+def test_static_order_is_that_of_the_first_slot():
+    simulator = Simulator(config(decoding_order="static"), num_cells=4)
+    radio, rng = simulator.config.radio, np.random.default_rng(1)
+    differs = 0
+    for _ in range(2):
+        order = None
+        for _ in range(8):
+            move, phases, powers = inputs(simulator, rng, 4)
+            effective = simulator.effective_channel(phases)
+            if order is None:
+                order = access.decoding_order(effective, powers, simulator.clusters, radio.noise_w)
+            noma = effective, powers, simulator.clusters, radio.bandwidth_hz, radio.noise_w
+            expected, dynamic = access.noma_rates(*noma, order), access.noma_rates(*noma)
+            np.testing.assert_allclose(simulator.step(move, phases, powers).rates_bps, expected, rtol=1e-12)
+            differs += not np.allclose(expected, dynamic)
+        simulator.reset()
+    assert differs > 4
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_without_ris_only_the_direct_channel_counts(scheme):
+    simulator = Simulator(config(task=Task(ris="none"), scheme=scheme), num_cells=3)
+    rng = np.random.default_rng(2)
+    move, phases, powers = inputs(simulator, rng, 3)
+    direct = simulator.scene.channels.direct
+    np.testing.assert_array_equal(simulator.effective_channel(phases), direct)
+    rates = access.noma_rates if scheme == "noma" else access.oma_rates
+    radio = simulator.config.radio
+    expected = rates(direct, powers, simulator.clusters, radio.bandwidth_hz, radio.noise_w)
+    np.testing.assert_allclose(simulator.step(move, phases, powers).rates_bps, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_bare_rates_are_those_without_ris_under_qos_first_powers(scheme):
+    simulator = Simulator(config(scheme=scheme), num_cells=3)
+    radio, task = simulator.config.radio, simulator.config.task
+    direct = simulator.scene.channels.direct
+    args = radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, task.qos_bps
+    powers = control.qos_first_powers(direct, simulator.clusters, scheme, *args)
+    rates = access.noma_rates if scheme == "noma" else access.oma_rates
+    expected = rates(direct, powers, simulator.clusters, radio.bandwidth_hz, radio.noise_w)
+    np.testing.assert_allclose(play(simulator, 1)[0].bare_rates_bps, expected, rtol=1e-12)
+
+
+def test_one_user_and_one_antenna_in_watts_and_hertz():
+    settings = Config(
+        world=World(drive="kinematic", num_users=1),
+        radio=Radio(num_antennas=1, num_clusters=1, bandwidth_hz=3e6, tx_power_dbm=23.0, noise_dbm_per_mhz=-40.0),
+    )
+    simulator = Simulator(settings)
+    phases = np.linspace(-3, 3, 16)[None]
+    direct, incident, reflected = simulator.scene.channels
+    gain = abs(direct[0, 0, 0] + (reflected[0, 0] * np.exp(1j * phases[0])) @ incident[0, :, 0]) ** 2
+    snr = 0.19952623 * gain / 3e-7
+    slot = simulator.step(np.zeros((1, 2)), phases, np.array([[settings.radio.tx_power_w]]))
+    assert slot.rates_bps[0, 0] == pytest.approx(3e6 * math.log2(1 + snr), rel=1e-6)
+
+
+@pytest.mark.parametrize("carrier_hz", [2e9, 5e9])
+def test_path_losses_are_the_papers_formulas_at_the_scenes_distances(carrier_hz):
+    simulator = Simulator(config(carrier_hz=carrier_hz), num_cells=6)
+    world = simulator.config.world
+    for slot in play(simulator, 5):
+        scene = slot.scene
+        for e in range(6):
+            ap = np.array(simulator.world.office(e).layout.ap.position)
+            panel = np.array([*scene.rover_xy[e], world.panel_height_m])
+            users = [np.array([*xy, world.user_height_m]) for xy in scene.users_xy[e]]
+            ends = [(ap, user) for user in users] + [(panel, user) for user in users] + [(ap, panel)]
+            for (a, b), n, loss in zip(ends, scene.blockers[e], scene.path_loss_db[e], strict=True):
+                d, f = max(1, math.dist(a, b)), 20 * math.log10(carrier_hz / 1e6)
+                clear, blocked = 16.9 * math.log10(d) - 27.2 + f, f - 28 + 25.5 * math.log10(d) + 15 + 4 * (n - 1)
+                assert loss == pytest.approx(blocked if n else clear, abs=1e-9)
+
+
+def test_mean_power_of_the_channels_is_path_loss_and_pattern():
+    simulator = Simulator(config(layout="open", element_pattern="isotropic"), num_cells=16)
+    ratios = []
+    for slot in play(simulator, 30):
+        gain = 10 ** (-slot.scene.path_loss_db / 10)
+        direct, incident, reflected = (np.mean(abs(part) ** 2, -1) for part in slot.scene.channels)
+        ratios.append(
+            [(direct / gain[:, :4]).mean(), (reflected / gain[:, 4:8]).mean(), (incident.mean(-1) / gain[:, 8]).mean()]
+        )
+    np.testing.assert_allclose(np.mean(ratios, 0), 1, atol=0.05)
+
+
+def test_seeds_reproduce_and_differ():
+    simulator = Simulator(config(difference_factor=0.5), num_cells=2)
+    runs = []
+    for seed in (5, 5, 6):
+        simulator.seed(seed)
+        simulator.reset()
+        runs.append(play(simulator, 3)[-1])
+    np.testing.assert_array_equal(runs[0].rates_bps, runs[1].rates_bps)
+    np.testing.assert_array_equal(runs[0].scene.channels.reflected, runs[1].scene.channels.reflected)
+    assert not np.allclose(runs[0].rates_bps, runs[2].rates_bps)
+
+
+def test_resetting_one_cell_leaves_the_others_where_they_are():
+    simulator = Simulator(config(), num_cells=3)
+    before = play(simulator, 3)[-1].scene
+    after = simulator.reset(np.array([1]))
+    for cell, same in [(0, True), (1, False), (2, True)]:
+        assert np.array_equal(before.users_xy[cell], after.users_xy[cell]) == same
+        assert np.array_equal(before.rover_xy[cell], after.rover_xy[cell]) == same
+        assert np.allclose(before.channels.direct[cell], after.channels.direct[cell], rtol=1e-12, atol=0) == same
+    np.testing.assert_allclose(after.rover_xy[1], simulator.world.office(1).layout.start)
+
+
+def test_the_panel_faces_between_access_point_and_users():
+    simulator = Simulator(config(), num_cells=4)
+    for slot in play(simulator, 3):
+        for e in range(4):
+            here = complex(*slot.scene.rover_xy[e])
+            ap = complex(*simulator.ap_position[e, :2]) - here
+            users = np.mean([(complex(*xy) - here) / abs(complex(*xy) - here) for xy in slot.scene.users_xy[e]])
+            middle = ap / abs(ap) + users / abs(users)
+            assert abs(np.exp(1j * slot.scene.panel_heading[e]) - middle / abs(middle)) < 1e-9
