@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar, Union
 
 import tyro
-from pydantic import ValidationError
 
-from mjris.config import Config, ConfigError, describe, load, preset
+from mjris.config import Config, ConfigError, load, preset
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,9 +18,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Flags = Annotated[T, tyro.conf.arg(name="")]
-
-# Rendering needs no screen; MuJoCo reads this when it is first imported.
-os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 @dataclass(kw_only=True)
@@ -91,7 +87,7 @@ class Render:
     """Run folder of `mjris train`; its config is where defaults come from."""
     out: Path | None = None
     """Folder for video.mp4, frame.png and trajectory.png; the run folder by default."""
-    slots: int = 60
+    slots: int = 30
     """Slots to film."""
     scene_seed: int = 1_000_003
     """The scene follows from this seed."""
@@ -101,6 +97,15 @@ class Render:
 
     def run(self) -> None:
         """Play, film and draw."""
+        # Rendering needs no screen; MuJoCo reads this when it is first imported.
+        os.environ.setdefault("MUJOCO_GL", "egl")
+        try:
+            import mujoco  # noqa: F401
+        except (ImportError, AttributeError, OSError) as error:
+            raise ConfigError(
+                f"MUJOCO_GL: {os.environ['MUJOCO_GL']!r} cannot be loaded ({error}): "
+                "install the system packages libegl1 and libgl1-mesa-dri, or set it to osmesa or glfw"
+            ) from None
         from mjris.show.film import film
 
         act = _learned(self.run_dir, self.cell, self.config)
@@ -116,8 +121,6 @@ def main(argv: list[str] | None = None) -> None:
         _parse(argv).run()
     except ConfigError as error:
         sys.exit(_fail(str(error)))
-    except ValidationError as error:
-        sys.exit(_fail(describe(error)))
 
 
 def _parse(argv: list[str]) -> Train | Evaluate | Render:

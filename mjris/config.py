@@ -1,5 +1,6 @@
 """Every parameter of a run, with its unit in its name: frozen dataclasses, presets, JSON."""
 
+import functools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -17,10 +18,30 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
 
-class ConfigError(ValueError):
+_BRAKING_MPS2 = 4.0
+"""What the wheels can brake at with room to spare."""
+
+
+class ConfigError(Exception):
     """A parameter has a value that is not allowed; the message is one sentence for the user."""
 
 
+def _plain_errors(section: type[T]) -> type[T]:
+    """Let a config dataclass raise `ConfigError`, not pydantic's own, when it is made by hand or from flags."""
+    construct = section.__init__
+
+    @functools.wraps(construct)
+    def init(self: T, **values: Any) -> None:
+        try:
+            construct(self, **values)
+        except ValidationError as error:
+            raise ConfigError(describe(error, section.__name__.lower())) from None
+
+    section.__init__ = init
+    return section
+
+
+@_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class World:
     """The office, the rover and the people."""
@@ -56,7 +77,20 @@ class World:
     body_blockage: bool = False
     """Whether people's bodies block links (never the link to their own receiver)."""
 
+    @model_validator(mode="after")
+    def _can_stop(self) -> "World":
+        tick_m = self.max_speed_mps * self.slot_s / self.ticks_per_slot
+        needed = tick_m + self.max_speed_mps**2 / (2 * _BRAKING_MPS2)
+        for name in ("bumper_m", "clearance_m"):
+            if getattr(self, name) < needed:
+                raise ValueError(
+                    f"world.{name}: {getattr(self, name)} is not allowed: at world.max_speed_mps {self.max_speed_mps} "
+                    f"the rover needs {needed:.3f} m to notice and stop"
+                )
+        return self
 
+
+@_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Radio:
     """Carrier, arrays, propagation and multiple access."""
@@ -115,6 +149,7 @@ class Radio:
         return dbm_to_w(self.noise_dbm_per_mhz) * self.bandwidth_hz / 1e6
 
 
+@_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Task:
     """What the agent sees, decides and is rewarded for."""
@@ -139,6 +174,7 @@ class Task:
     """λ: the reward is divided by this where any user misses QoS."""
 
 
+@_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Agent:
     """DDPG and its networks."""
@@ -163,6 +199,7 @@ class Agent:
     """Slots with random actions before the first update."""
 
 
+@_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Federation:
     """Cells and how their agents are merged."""
@@ -179,6 +216,7 @@ class Federation:
     """Worker processes; 0 is one a core, 1 is this process."""
 
 
+@_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Config:
     """Everything that determines a run."""
@@ -227,12 +265,12 @@ def w_to_dbm(power_w: float) -> float:
     return 10 * math.log10(power_w * 1e3)
 
 
-def describe(error: ValidationError) -> str:
-    """One sentence for a validation error: the field, its value and what is allowed."""
+def describe(error: ValidationError, section: str = "") -> str:
+    """One sentence for a validation error: the field (of a section of the config), its value and what is allowed."""
     first = error.errors()[0]
-    field = ".".join(str(part) for part in first["loc"])
+    field = ".".join(str(part) for part in ((section,) if section not in ("", "config") else ()) + first["loc"])
     message = first["msg"].removeprefix("Value error, ")
-    if not field or message.startswith(field):
+    if message.startswith(("world.", "radio.")):
         return message
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{field} is not a known field"

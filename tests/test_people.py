@@ -63,7 +63,7 @@ def test_clearances_are_kept_in_every_tick(layout, num_users):
 
     check()
     made.on_tick = check
-    for _ in range(80):
+    for _ in range(50):
         before = made.crowd.xy
         motion = made.move(np.zeros((16, 2)), *rayleigh_steps(made, rng))
         assert (made.crowd.xy != before).any()

@@ -204,3 +204,17 @@ def test_the_trajectory_is_drawn(office, rollout, tmp_path):
     assert 900 < width < 1200  # half a page at 300 dpi
     assert 1.0 < height / width < 1.6  # the room is 15 m × 20 m, and a legend is below it
     assert imread(path)[..., :3].min() < 0.2
+
+
+def test_furniture_before_the_rover_lets_it_be_seen(office, rollout):
+    def orange(x, y):
+        qpos = rollout.qpos.copy()
+        qpos[:, office.rover_qpos : office.rover_qpos + 2] = x, y
+        picture = snapshot(CONFIG, office, replace(rollout, qpos=qpos), 0, camera="rover/chase", width=320, height=240)
+        red, _, blue = np.moveaxis(picture[:, 90:].astype(int), -1, 0)
+        return ((red - blue) > 40).sum()
+
+    pillar = next(item for item in office.layout.obstacles if item.name == "pillar_3")
+    x, y = pillar.position
+    # The cameras look from the south; the ring round the rover is about as large as the pillar hides.
+    assert orange(x, y + 0.7) > 0.6 * orange(x + 3, y + 0.7)

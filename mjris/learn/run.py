@@ -31,7 +31,10 @@ def train(config: Config, out: Path, *, report: Report = _silent, make_env: EnvF
     checkpoints/round_NNNN/cell_U.zip, which hold the averaged agents where there is averaging; tensorboard/cell_U
     follows while training. Raises `ConfigError` where `out` exists and is not an empty folder.
     """
-    _create(out)
+    _check_new(out)
+    # What is wrong with the layout or the task shows here, before anything is written.
+    make_env(config, 0).close()
+    out.mkdir(parents=True, exist_ok=True)
     (out / "config.json").write_text(config.to_json())
     _write_header(out / "metrics.csv")
     averaging = config.federation.averaging and config.federation.num_cells > 1
@@ -74,10 +77,9 @@ def load_policy(run_dir: Path, cell: int = 0, *, make_env: EnvFactory = OfficeEn
     return agent
 
 
-def _create(out: Path) -> None:
+def _check_new(out: Path) -> None:
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise ConfigError(f"out: {out} is not allowed: it exists already, and a run needs a new or empty folder")
-    out.mkdir(parents=True, exist_ok=True)
 
 
 def _write_header(path: Path) -> None:
