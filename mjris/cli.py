@@ -173,16 +173,15 @@ def _print_table(console: "Console", table: "pd.DataFrame") -> None:
     from rich.table import Table
 
     shown = Table(title=f"{table.scenes[0]} held-out scenes, means and 95 % intervals")
-    for name in ("policy", "sum rate [Mb/s]", "over no RIS", "QoS met", "collisions", "clearance [m]"):
-        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=name != "collisions")
+    for name in ("policy", "sum rate [Mb/s]", "over no RIS [%]", "QoS met", "hits"):
+        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
     for row in table.to_dict("records"):
         shown.add_row(
             row["policy"],
             f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.3f} … {row['sum_rate_high']:.3f})",
-            f"{row['gain_percent']:+.1f} % ({row['gain_low']:+.1f} … {row['gain_high']:+.1f})",
+            f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f} … {row['gain_high']:+.1f})",
             f"{row['qos_share']:.1%}",
             str(row["collisions"]),
-            f"{row['clearance_m']:.3f}",
         )
     console.print(shown)
 

@@ -164,6 +164,8 @@ class Task:
     """The phases at action zero: none, or the closed-form alignment to the observed channel."""
     power_reference: Literal["even", "qos"] = "even"
     """The powers at action zero: an even split, or the closed-form split that meets QoS first."""
+    residual: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """How far actions move phases (of π) and powers (relative) from an aligned or QoS reference."""
     observation: Literal["csi", "map"] = "csi"
     """csi: the paper's state; map: geometry in the rover's frame and the gain map around it."""
     reward: Literal["sum_rate", "gain"] = "sum_rate"

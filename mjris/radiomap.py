@@ -51,5 +51,4 @@ def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
 def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArray:
     """Sum rate [...] of rates [..., K] [bit/s], divided by λ where any user misses QoS, eq. (R)."""
     total = rates_bps.sum(-1)
-    # Closed-form powers give weak users their QoS exactly, so that rounding must not count as a miss.
-    return np.where((rates_bps >= qos_bps * (1 - 1e-9)).all(-1), total, total / penalty)
+    return np.where((rates_bps >= qos_bps).all(-1), total, total / penalty)

@@ -155,8 +155,8 @@ class Simulator:
             return access.oma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w)
         return access.noma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w, order)
 
-    def qos_first_powers(self, effective: ComplexArray) -> FloatArray:
-        """The closed-form QoS-first powers [..., K] [W] for effective channels [..., K, M]."""
+    def qos_first_powers(self, effective: ComplexArray, margin: float = 1.0) -> FloatArray:
+        """The closed-form powers [..., K] [W] that meet `margin` times QoS first, for channels [..., K, M]."""
         radio = self.config.radio
         return control.qos_first_powers(
             effective,
@@ -165,7 +165,7 @@ class Simulator:
             radio.tx_power_w,
             radio.bandwidth_hz,
             radio.noise_w,
-            self.config.task.qos_bps,
+            margin * self.config.task.qos_bps,
         )
 
     def _decoding_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:

@@ -61,8 +61,9 @@ class Task:
         """Displacement [E, 2] [m], phases [E, N] [rad] and powers [E, K] [W] of actions [E, A].
 
         The displacement is a point of the disc that the rover can reach in a slot. Phases are π times the action,
-        counted from the reference. Powers are shares of what a user may have, (1 + a)/2; with the QoS reference the
-        closed-form powers times 1 + a. Both never exceed the budget.
+        or `residual` times that from the aligned reference. Powers are shares of what a user may have, (1 + a)/2; or
+        the QoS-first ones times 1 + `residual` a, with a margin over QoS that corrections cannot use up. Neither
+        exceeds the budget.
         """
         action = np.clip(np.asarray(action, np.float64), -1, 1)
         move, phases, powers = np.split(action, [2, self.action_size - self.config.world.num_users], axis=-1)
@@ -91,10 +92,10 @@ class Task:
     def _phases(self, action: FloatArray) -> FloatArray:
         if self.config.task.phases == "random":
             return self.simulator.random_phases()
-        phases = np.pi * action
         if self.config.task.phase_reference == "aligned":
-            phases = phases + control.aligned_phases(self.simulator.scene.channels)
-        return phases
+            reference = control.aligned_phases(self.simulator.scene.channels)
+            return reference + self.config.task.residual * np.pi * action
+        return np.pi * action
 
     def _powers(self, action: FloatArray, phases_rad: FloatArray) -> FloatArray:
         radio, clusters = self.config.radio, self.simulator.clusters
@@ -102,7 +103,9 @@ class Task:
         if self.config.task.power_reference == "qos":
             most = radio.tx_power_w / (radio.num_clusters if radio.scheme == "noma" else action.shape[-1])
             effective = self.simulator.effective_channel(phases_rad)
-            shares = np.minimum(self.simulator.qos_first_powers(effective) / most * (1 + action), 1)
+            residual = self.config.task.residual
+            reference = self.simulator.qos_first_powers(effective, margin=(1 + residual) / (1 - residual))
+            shares = np.minimum(reference / most * (1 + residual * action), 1)
         return control.split_powers(shares, clusters, radio.scheme, radio.tx_power_w)
 
     def _observe_csi(self) -> list[FloatArray]:

@@ -13,7 +13,6 @@ from mjris.config import (
     from_dict,
     load,
     preset,
-    validated,
     w_to_dbm,
 )
 
@@ -117,6 +116,15 @@ def test_bad_files(tmp_path):
         load(path)
 
 
-def test_validated_wraps_constructors():
-    with pytest.raises(ConfigError, match="flags: num_users: 0 is not allowed"):
-        validated(lambda: World(num_users=0), "flags")
+def test_sections_made_by_hand_name_their_field():
+    with pytest.raises(ConfigError, match=r"world\.num_users: 0 is not allowed"):
+        World(num_users=0)
+
+
+@pytest.mark.parametrize(
+    ("values", "field"),
+    [({"bumper_m": 0.05}, "bumper_m"), ({"clearance_m": 0.05}, "clearance_m"), ({"ticks_per_slot": 2}, "bumper_m")],
+)
+def test_rover_must_be_able_to_stop(values, field):
+    with pytest.raises(ConfigError, match=rf"world\.{field}: .* the rover needs 0\.\d+ m to notice and stop"):
+        World(**values)
