@@ -43,6 +43,10 @@ class Task:
         angles = np.arange(_MAP_DIRECTIONS) * 2 * np.pi / _MAP_DIRECTIONS
         circle = np.stack([np.cos(angles), np.sin(angles)], -1)
         self._map_offsets = np.concatenate([radius * circle for radius in _MAP_RADII_M])
+        residual = config.task.residual
+        # The most that corrections take from a user; 5 % more for the interference of those who get it.
+        self.qos_margin = 1.05 * (1 + residual) / (1 - residual)
+        """How far the reference powers aim above QoS, so that corrections cannot cost it."""
         self.observation_size = self.observe().shape[1]
 
     def reset(self, seed: int | None = None) -> NDArray[np.float32]:
@@ -103,9 +107,8 @@ class Task:
         if self.config.task.power_reference == "qos":
             most = radio.tx_power_w / (radio.num_clusters if radio.scheme == "noma" else action.shape[-1])
             effective = self.simulator.effective_channel(phases_rad)
-            residual = self.config.task.residual
-            reference = self.simulator.qos_first_powers(effective, margin=(1 + residual) / (1 - residual))
-            shares = np.minimum(reference / most * (1 + residual * action), 1)
+            reference = self.simulator.qos_first_powers(effective, margin=self.qos_margin)
+            shares = np.minimum(reference / most * (1 + self.config.task.residual * action), 1)
         return control.split_powers(shares, clusters, radio.scheme, radio.tx_power_w)
 
     def _observe_csi(self) -> list[FloatArray]:
