@@ -56,10 +56,14 @@ class Slot:
 
 
 class _Streams(NamedTuple):
-    """Random generators of one cell: its own, and its copy of the one that all cells share."""
+    """Random generators of one cell."""
 
     own: np.random.Generator
+    """Places, steps and fading of this cell."""
     shared: np.random.Generator
+    """This cell's copy of the one that all cells share."""
+    phases: np.random.Generator
+    """Random phases: a stream of their own, so that they leave the rest of the scene as it is."""
 
 
 class Simulator:
@@ -93,7 +97,12 @@ class Simulator:
     def seed(self, seed: int, cells: IntArray | None = None) -> None:
         """Restart the random streams of some cells, all by default."""
         fresh = [
-            _Streams(np.random.default_rng([seed, number, 0]), np.random.default_rng(seed)) for number in self._numbers
+            _Streams(
+                own=np.random.default_rng([seed, number, 0]),
+                shared=np.random.default_rng(seed),
+                phases=np.random.default_rng([seed, number, 2]),
+            )
+            for number in self._numbers
         ]
         if cells is None:
             self._streams = fresh
@@ -113,9 +122,9 @@ class Simulator:
         return self.scene
 
     def random_phases(self) -> FloatArray:
-        """Uniform phases from each cell's own stream [E, N] [rad]."""
+        """Uniform phases from each cell's stream for them [E, N] [rad]."""
         n = self.config.radio.num_elements
-        return np.stack([streams.own.uniform(-np.pi, np.pi, n) for streams in self._streams])
+        return np.stack([streams.phases.uniform(-np.pi, np.pi, n) for streams in self._streams])
 
     def step(self, displacement_m: FloatArray, phases_rad: FloatArray, powers_w: FloatArray) -> Slot:
         """Transmit over the present channel, then move: [E, 2] [m], [E, N] [rad], [E, K] [W]."""
