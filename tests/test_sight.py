@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from mjris.config import Config
+from mjris.config import Config, ConfigError
 from mjris.config import World as WorldConfig
 from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, check_layout, layout_names, load_layout
 from mjris.world.office import PERSON_HEIGHT_M, PERSON_RADIUS_M
@@ -70,7 +70,7 @@ def random_layout(rng: np.random.Generator) -> Layout:
         tried = Layout(name="random", room=room, ap=ap, start=layout.start, obstacles=(*obstacles, obstacle))
         try:
             check_layout(tried)
-        except ValueError:
+        except ConfigError:
             continue
         obstacles, layout = tried.obstacles, tried
     return layout
