@@ -81,9 +81,9 @@ def training_rates(repeats: int, slots: int) -> tuple[list[float], list[float]]:
             config = replace(
                 base,
                 task=replace(base.task, slots=slots),
-                federation=replace(base.federation, num_cells=4, episodes=12, round_episodes=4, workers=workers),
+                federation=replace(base.federation, num_cells=4, episodes=3, round_episodes=1, workers=workers),
             )
-            measured.append(4 * 8 * slots / training_seconds(config))
+            measured.append(4 * 2 * slots / training_seconds(config))
     return rates[1], rates[2]
 
 
