@@ -16,8 +16,6 @@ FloatArray = NDArray[np.floating]
 Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """Actions [E, A] for observations [E, D]."""
 
-EVALUATION_SEED = 1_000_003
-"""Scenes follow from this seed by default; training draws its own from 32-bit hashes of the run's seed."""
 _RESAMPLES = 4000
 
 VARIANTS: Mapping[str, Mapping[str, str]] = {
