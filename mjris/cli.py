@@ -1,5 +1,6 @@
-"""The console command: train, evaluate, render."""
+"""The console command: train, evaluate, render, map."""
 
+import math
 import os
 import sys
 from dataclasses import dataclass, field
@@ -97,21 +98,75 @@ class Render:
 
     def run(self) -> None:
         """Play, film and draw."""
-        # Rendering needs no screen; MuJoCo reads this when it is first imported.
-        os.environ.setdefault("MUJOCO_GL", "egl")
-        try:
-            import mujoco  # noqa: F401
-        except (ImportError, AttributeError, OSError) as error:
-            raise ConfigError(
-                f"MUJOCO_GL: {os.environ['MUJOCO_GL']!r} cannot be loaded ({error}): "
-                "install the system packages libegl1 and libgl1-mesa-dri, or set it to osmesa or glfw"
-            ) from None
+        _load_opengl()
         from mjris.show.film import film
 
         act = _learned(self.run_dir, self.cell, self.config)
         if self.slots < 1:
             raise ConfigError(f"slots: {self.slots} is not allowed: it must be at least 1")
         film(self.config, act, self.out or self.run_dir, self.slots, self.scene_seed)
+
+
+@dataclass(kw_only=True)
+class Map:
+    """Draw sight, SNR and rate over the floor without and with RIS, and what every place is worth to the RIS."""
+
+    out: Path
+    """Folder for map.npz, a figure of each field, office.png and leakage.csv."""
+    run_dir: Annotated[Path | None, tyro.conf.arg(name="run")] = None
+    """Run folder of `mjris train`, if its config is where defaults come from."""
+    preset: str = "office"
+    """Where defaults come from without a run: office, paper or demo."""
+    scene_seed: int = 1_000_003
+    """Where people stand follows from this seed."""
+    resolution_m: float = 0.1
+    """Longest side of the floor's cells [m]."""
+    place_resolution_m: float = 0.25
+    """Longest side of the cells that the RIS is tried in [m]."""
+    rover: tuple[float, float] | None = None
+    """Where the RIS stands, x and y [m]; the layout's start by default."""
+    heading_deg: float | None = None
+    """Where the panel faces, counter-clockwise from +x; by default as --world.pan says."""
+    on_floor: str = "snr_ris"
+    """The field on the floor of the rendered office, named like its figure; none for no such picture."""
+    leakage: bool = False
+    """Also what the floors of the building let through to each other, as a table."""
+    bands: int = 2
+    """Bands that the floors take in turn; there are --federation.num-cells floors."""
+    slab_m: float = 0.3
+    """Thickness of the slab between two floors [m]."""
+    config: Flags[Config] = field(default_factory=Config)
+
+    def run(self) -> None:
+        """Compute, draw and write; all files or none."""
+        if self.on_floor != "none":
+            _load_opengl()
+        from mjris.eval.building import leakage_table, storey_height_m
+        from mjris.eval.floormap import floor_map
+        from mjris.show.maps import write_maps
+        from mjris.simulator import Simulator
+
+        if self.scene_seed < 0:
+            raise ConfigError(f"scene_seed: {self.scene_seed} is not allowed: it must be at least 0")
+        simulator = Simulator(self.config)
+        simulator.seed(self.scene_seed)
+        simulator.reset()
+        office = simulator.world.office(0)
+        floor = floor_map(
+            simulator,
+            resolution_m=self.resolution_m,
+            place_resolution_m=self.place_resolution_m,
+            rover_xy_m=self.rover,
+            panel_heading_rad=None if self.heading_deg is None else math.radians(self.heading_deg),
+        )
+        table = None
+        if self.leakage:
+            table = leakage_table(floor, self.config, storey_height_m(office, self.slab_m), self.bands)
+        paths = write_maps(self.config, office, floor, table, self.on_floor, self.out)
+        if table is not None:
+            _print_leakage(table)
+        for path in paths:
+            print(path)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -123,7 +178,7 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(_fail(str(error)))
 
 
-def _parse(argv: list[str]) -> Train | Evaluate | Render:
+def _parse(argv: list[str]) -> Train | Evaluate | Render | Map:
     """The command with all of its flags; defaults come from the preset or the run folder that is named."""
     run_dir, name = _value(argv, "--run"), _value(argv, "--preset")
     config = preset(name or "office")
@@ -136,6 +191,7 @@ def _parse(argv: list[str]) -> Train | Evaluate | Render:
         Annotated[Train, tyro.conf.subcommand("train", default=Train(out=missing, config=config))],
         Annotated[Evaluate, tyro.conf.subcommand("evaluate", default=Evaluate(run_dir=missing, config=config))],
         Annotated[Render, tyro.conf.subcommand("render", default=Render(run_dir=missing, config=config))],
+        Annotated[Map, tyro.conf.subcommand("map", default=Map(out=missing, config=config))],
     ]
     return tyro.cli(commands, prog="mjris", description=__doc__, args=argv)  # type: ignore[arg-type]
 
@@ -148,6 +204,19 @@ def _value(argv: list[str], flag: str) -> str | None:
         if here.startswith(f"{flag}="):
             return here.removeprefix(f"{flag}=")
     return None
+
+
+def _load_opengl() -> None:
+    """Make MuJoCo load what it renders with. Raises `ConfigError` if it cannot."""
+    # Rendering needs no screen; MuJoCo reads this when it is first imported.
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    try:
+        import mujoco  # noqa: F401
+    except (ImportError, AttributeError, OSError) as error:
+        raise ConfigError(
+            f"MUJOCO_GL: {os.environ['MUJOCO_GL']!r} cannot be loaded ({error}): "
+            "install the system packages libegl1 and libgl1-mesa-dri, or set it to osmesa or glfw"
+        ) from None
 
 
 def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
@@ -172,18 +241,48 @@ def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
 def _print_table(console: "Console", table: "pd.DataFrame") -> None:
     from rich.table import Table
 
+    from mjris.constraints import NAMES
+
     shown = Table(title=f"{table.scenes[0]} held-out scenes, means and 95 % intervals")
-    for name in ("policy", "sum rate [Mb/s]", "over no RIS [%]", "QoS met", "hits"):
-        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
+    # QoS has a column of its own; the others are expected to be kept, and share one.
+    others = [name for name in NAMES if name != "qos"]
+    for name in ("policy", "sum rate [Mb/s]", "over no RIS [%]", "QoS met", "violations"):
+        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=name != "violations")
     for row in table.to_dict("records"):
         shown.add_row(
             row["policy"],
             f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.3f} … {row['sum_rate_high']:.3f})",
             f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f} … {row['gain_high']:+.1f})",
             f"{row['qos_share']:.1%}",
-            str(row["collisions"]),
+            _violations({name: row[f"violated_{name}"] for name in others}),
         )
     console.print(shown)
+
+
+def _violations(slots: dict[str, int]) -> str:
+    """Which constraints were broken and in how many slots, "none" for none."""
+    return ", ".join(f"{name} {count}" for name, count in slots.items() if count) or "none"
+
+
+def _print_leakage(table: "pd.DataFrame") -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(
+        title=f"Leakage between floors so far apart: mean (worst) over the floor; noise {table.noise_dbm[0]:.1f} dBm"
+    )
+    for name in ("apart", "same band", "interference [dBm]", "INR [dB]", "rate lost [%]"):
+        shown.add_column(Text(name), justify="right", no_wrap=True)
+    for row in table.to_dict("records"):
+        shown.add_row(
+            str(row["floors_apart"]),
+            "yes" if row["same_band"] else "no",
+            f"{row['interference_dbm']:.1f} ({row['interference_worst_dbm']:.1f})",
+            f"{row['inr_db']:.1f} ({row['inr_worst_db']:.1f})",
+            f"{row['rate_lost_percent']:.3f} ({row['rate_lost_worst_percent']:.3f})",
+        )
+    Console().print(shown)
 
 
 def _fail(sentence: str) -> int:

@@ -132,6 +132,7 @@ def slot_info(slot: Slot, cell: int) -> dict[str, Any]:
         "blockers": slot.scene.blockers[cell],
         "clearance_m": float(slot.clearance_m[cell]),
         "collisions": int(slot.collisions[cell]),
+        "constraints": slot.constraints.of_cell(cell),
     }
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
+from mjris.constraints import Constraints, evaluate
 from mjris.radio import access, channel, control, propagation
 from mjris.world.layout import load_layout
 from mjris.world.world import World
@@ -52,6 +53,7 @@ class Slot:
     """Smallest distance between the hull and anything in the slot [E] [m]."""
     collisions: IntArray
     """Penetrating contacts seen in the slot [E]."""
+    constraints: Constraints
     scene: Scene
 
 
@@ -82,6 +84,7 @@ class Simulator:
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
+        self._room_m = np.array([self.world.office(e).layout.room.size[:2] for e in range(num_cells)])
         axes = np.stack([self.world.office(e).ap_axis for e in range(num_cells)])
         self._antennas = channel.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
         people = self.world.office(0).person_bodies
@@ -117,7 +120,6 @@ class Simulator:
         self._diffuse[cells] = self._draw_diffuse(cells)
         self._fresh[cells] = True
         self._face_panels()
-        self.world.fleet.sense()
         self.scene = self._observe()
         return self.scene
 
@@ -129,7 +131,8 @@ class Simulator:
     def step(self, displacement_m: FloatArray, phases_rad: FloatArray, powers_w: FloatArray) -> Slot:
         """Transmit over the present channel, then move: [E, 2] [m], [E, N] [rad], [E, K] [W]."""
         effective = self.effective_channel(phases_rad)
-        rates = self.rates(effective, powers_w, self._decoding_order(effective, powers_w))
+        order = self._decoding_order(effective, powers_w)
+        rates = self.rates(effective, powers_w, order)
         direct = self.scene.channels.direct
         bare = self.rates(direct, self.qos_first_powers(direct))
         before = self.world.fleet.xy
@@ -147,6 +150,18 @@ class Simulator:
             displacement_m=self.world.fleet.xy - before,
             clearance_m=motion.clearance_m,
             collisions=motion.collisions,
+            constraints=evaluate(
+                self.config,
+                self.clusters,
+                rover_xy=self.scene.rover_xy,
+                hull_radius_m=self.world.hull_radius_m,
+                room_m=self._room_m,
+                effective=effective,
+                powers_w=powers_w,
+                order=order,
+                rates_bps=rates,
+                collisions=motion.collisions,
+            ),
             scene=self.scene,
         )
 

@@ -45,7 +45,7 @@ def test_every_solid_thing_has_a_contact_pair_with_the_hull(name):
     hull = model.geom("rover/hull").id
     pairs = {frozenset((int(a), int(b))) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)}
     solid = [*np.flatnonzero(np.isin(model.geom_group, (GROUP_BLOCKERS, GROUP_WALLS)))]
-    solid += [model.geom(f"person{k}/body").id for k in range(made.num_users)]
+    solid += [model.geom(f"person{k}/body").id for k in range(made.config.world.num_users)]
     assert {frozenset((hull, int(geom))) for geom in solid} <= pairs
     assert (model.geom_group == GROUP_WALLS).sum() >= 4
 
@@ -94,7 +94,7 @@ def test_the_access_point_hangs_where_the_layout_says():
 @pytest.mark.parametrize(("rows", "cols", "carrier_hz"), [(4, 4, 2e9), (2, 8, 2e9), (8, 3, 5e9), (1, 1, 28e9)])
 def test_panel_has_an_element_for_each_of_n_and_lies_within_the_hull(rows, cols, carrier_hz):
     config = Config(radio=Radio(panel_rows=rows, panel_cols=cols, carrier_hz=carrier_hz))
-    model = build(config, load_layout("open")).model
+    model = build(config, load_layout("open")).scenery
     geoms = names(model, mujoco.mjtObj.mjOBJ_GEOM, model.ngeom)
     assert sum(name.startswith("rover/panel/element") for name in geoms) == config.radio.num_elements == rows * cols
     data = mujoco.MjData(model)
@@ -112,7 +112,7 @@ def test_panel_has_an_element_for_each_of_n_and_lies_within_the_hull(rows, cols,
 
 def test_neighbouring_elements_are_half_a_wavelength_apart():
     config = preset("office")
-    model = build(config, load_layout("office")).model
+    model = build(config, load_layout("office")).scenery
     pos = np.stack([model.geom(f"rover/panel/element{n}").pos for n in range(16)])
     half = config.radio.wavelength_m / 2
     apart = np.linalg.norm(pos[:, None] - pos[None], axis=-1) + 10 * np.eye(16)
@@ -126,3 +126,17 @@ def test_time_steps_fill_a_tick(slot_s, ticks, longest):
     step = office("open", slot_s=slot_s, ticks_per_slot=ticks, timestep_s=longest).model.opt.timestep
     assert step <= longest + 1e-12
     assert slot_s / ticks / step == pytest.approx(round(slot_s / ticks / step))
+
+
+@pytest.mark.parametrize("drive", ["wheels", "kinematic"])
+def test_what_is_simulated_moves_as_what_is_seen(drive):
+    made = office(drive=drive)
+    simulated, seen = made.model, made.scenery
+    assert simulated.ngeom < seen.ngeom
+    for kind, count in [(mujoco.mjtObj.mjOBJ_BODY, seen.nbody), (mujoco.mjtObj.mjOBJ_JOINT, seen.njnt)]:
+        assert names(simulated, kind, count) == names(seen, kind, count)
+    moving = seen.body_weldid > 0
+    np.testing.assert_array_equal(simulated.body_mass[moving], seen.body_mass[moving])
+    np.testing.assert_array_equal(simulated.body_inertia[moving], seen.body_inertia[moving])
+    solid = [name for name in names(seen, mujoco.mjtObj.mjOBJ_GEOM, seen.ngeom) if seen.geom(name).group[0] != 2]
+    assert names(simulated, mujoco.mjtObj.mjOBJ_GEOM, simulated.ngeom) == solid

@@ -35,7 +35,6 @@ def alone(layout: Layout, num_cells: int, drive: str, **options) -> World:
     """A world whose only person stands in a corner."""
     made = world(layout, num_cells, drive, num_users=2, **options)
     made.crowd.place(np.arange(num_cells), np.tile([[0.5, 0.5], [0.5, 1.5]], (num_cells, 1, 1)))
-    made.fleet.sense()
     return made
 
 
@@ -119,7 +118,6 @@ def test_straight_into_every_obstacle_and_wall(name, drive):
     for _ in range(2):
         places = free_places_near(made, targets, rng)
         made.fleet.place(cells, places, rng.uniform(-math.pi, math.pi, len(cells)))
-        made.fleet.sense()
         aims = targets + rng.normal(0, 0.2, targets.shape)
         clearances = assert_promises_kept(made, lambda made, aims=aims: toward(made, aims), 12, rng)
         assert np.median(clearances[-1]) < 0.2  # they did get there
@@ -192,6 +190,22 @@ def test_wheels_hardly_depend_on_the_time_step():
     assert apart.max() < 0.2  # small differences of every slot add up
 
 
+def test_wheels_converge_as_the_time_step_shrinks():
+    paths = []
+    for timestep in (0.02, 0.01, 0.005, 0.0025):
+        rng = np.random.default_rng(6)
+        made = alone(empty(), 12, "wheels", timestep_s=timestep)
+        path = []
+        for _ in range(6):
+            slot(made, rng.uniform(-0.35, 0.35, (12, 2)))
+            path.append(made.fleet.xy)
+        paths.append(np.stack(path))
+    coarse, middle, fine = (np.linalg.norm(path - paths[-1], axis=-1).mean() for path in paths[:-1])
+    assert middle < coarse / 1.5
+    assert fine < middle / 1.5
+    assert fine < 0.005
+
+
 @pytest.mark.parametrize("bumper_m", [0.1, 0.3])
 @pytest.mark.parametrize("drive", DRIVES)
 def test_a_blocked_way_ends_at_the_bumper_and_no_sooner(drive, bumper_m):
@@ -200,7 +214,6 @@ def test_a_blocked_way_ends_at_the_bumper_and_no_sooner(drive, bumper_m):
         empty(Obstacle(name="block", position=(9.5, 7), yaw=0.0, bricks=(block,))), 4, drive, bumper_m=bumper_m
     )
     made.fleet.place(np.arange(4), np.array([[7, 7], [7, 6], [7.3, 8], [6, 7.0]]), np.array([0, 1, -2, math.pi]))
-    made.fleet.sense()
     for _ in range(12):
         motion = slot(made, np.tile([0.5, 0.0], (4, 1)))
         assert (motion.clearance_m > 0).all()
@@ -211,7 +224,6 @@ def test_a_blocked_way_ends_at_the_bumper_and_no_sooner(drive, bumper_m):
 def test_who_stands_at_an_obstacle_can_leave_it(drive):
     made = alone(empty(), 4, drive)
     made.fleet.place(np.arange(4), np.tile([13.6, 7.0], (4, 1)), np.array([0, 1, -2, math.pi]))
-    made.fleet.sense()
     for _ in range(4):
         slot(made, np.tile([-0.5, 0.0], (4, 1)))
     assert (made.fleet.xy[:, 0] < 12.5).all()

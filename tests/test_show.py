@@ -129,9 +129,9 @@ def test_a_snapshot_shows_something(office, rollout, camera):
 
 
 def test_a_snapshot_changes_nothing_in_the_office(office, rollout):
-    before = office.model.geom_rgba.copy(), office.model.geom_matid.copy(), office.model.cam_fovy.copy()
+    before = office.scenery.geom_rgba.copy(), office.scenery.geom_matid.copy(), office.scenery.cam_fovy.copy()
     snapshot(CONFIG, office, rollout, 0, width=320, height=240)
-    after = office.model.geom_rgba, office.model.geom_matid, office.model.cam_fovy
+    after = office.scenery.geom_rgba, office.scenery.geom_matid, office.scenery.cam_fovy
     for old, new in zip(before, after, strict=True):
         np.testing.assert_array_equal(old, new)
 
@@ -161,14 +161,14 @@ def test_missing_opengl_says_what_to_install(office, rollout, monkeypatch):
 
 
 def test_the_chase_camera_follows_without_turning(office):
-    data = mujoco.MjData(office.model)
+    data = mujoco.MjData(office.scenery)
     start = office.rover_qpos
-    camera = office.model.camera("rover/chase").id
+    camera = office.scenery.camera("rover/chase").id
     seen = []
     for x, y, yaw in ((2.0, 3.0, 0.0), (9.0, 12.0, 2.0)):
         data.qpos[start : start + 7] = x, y, 0.08, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)
-        mujoco.mj_kinematics(office.model, data)
-        mujoco.mj_camlight(office.model, data)
+        mujoco.mj_kinematics(office.scenery, data)
+        mujoco.mj_camlight(office.scenery, data)
         seen.append((data.cam_xpos[camera] - [x, y, 0], data.cam_xmat[camera].copy()))
     np.testing.assert_allclose(seen[0][0], seen[1][0], atol=1e-12)
     np.testing.assert_allclose(seen[0][1], seen[1][1], atol=1e-12)

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -113,6 +114,67 @@ def test_links_that_start_or_end_inside_a_brick_count_its_obstacle():
     assert (assert_counts_agree(layout, inside, outside) >= 1).all()
     assert (assert_counts_agree(layout, outside, inside) >= 1).all()
     assert (assert_counts_agree(layout, inside, np.roll(inside, 200, 0)) >= 1).all()
+
+
+def floating_boxes(rng: np.random.Generator) -> Layout:
+    """Bricks that stand or float apart from each other, turned any way, one an obstacle."""
+    obstacles = []
+    for index, place in enumerate(itertools.product(np.arange(1.0, 9), np.arange(1.0, 7))):
+        brick = Brick(at=(0, 0, rng.uniform(0.5, 2)), size=tuple(rng.uniform(0.05, 0.5, 3)), material="wood")
+        obstacles.append(Obstacle(name=f"box{index}", position=place, yaw=rng.uniform(-4, 4), bricks=(brick,)))
+    ap = AccessPoint(position=(4.5, 6.9, 2.9), facing_deg=270.0)
+    return Layout(name="boxes", room=Room(size=(9, 7, 3)), ap=ap, start=(0.5, 0.5), obstacles=tuple(obstacles))
+
+
+def grazing_links(layout: Layout, offset_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Links that pass faces and edges of every brick at `offset_m`, outside if that is positive: both ends [L, 3]."""
+    ends = []
+    for obstacle in layout.obstacles:
+        brick = obstacle.bricks[0]
+        c, s = math.cos(obstacle.yaw), math.sin(obstacle.yaw)
+        to_room = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        half = np.array(brick.size) / 2
+        for axis, side, other_side in itertools.product(range(3), (-1, 1), (-1, 1)):
+            a, b = (axis + 1) % 3, (axis + 2) % 3
+            skim, way, over, across = np.zeros((4, 3))
+            # Along a face, from beyond one end of the brick to beyond the other.
+            skim[a], skim[b], way[axis] = (
+                side * (half[a] + offset_m),
+                rng.uniform(-0.9, 0.9) * half[b],
+                half[axis] + 0.02,
+            )
+            # Over an edge, across it.
+            over[a], over[b] = side * (half[a] + offset_m), other_side * (half[b] + offset_m)
+            over[axis] = rng.uniform(-0.9, 0.9) * half[axis]
+            across[a], across[b] = 0.02 * side, -0.02 * other_side
+            ends += [
+                ([*obstacle.position, 0] + (point + sign * reach + brick.at) @ to_room)
+                for point, reach in ((skim, way), (over, across))
+                for sign in (-1, 1)
+            ]
+    pairs = np.reshape(ends, (-1, 2, 3))
+    return pairs[:, 0], pairs[:, 1]
+
+
+@pytest.mark.parametrize("offset_m", [-5e-3, -1e-4, -1e-5, 1e-5, 1e-4, 5e-3])
+def test_links_that_graze_faces_and_edges(offset_m):
+    rng = np.random.default_rng(60)
+    layout = floating_boxes(rng)
+    start, end = grazing_links(layout, offset_m, rng)
+    counts = assert_counts_agree(layout, start, end)
+    assert len(counts) == 48 * 24
+    assert (counts == (offset_m < 0)).all()
+    np.testing.assert_array_equal(assert_counts_agree(layout, end, start), counts)
+
+
+def test_jittered_cells_are_counted_in_layouts_of_their_own():
+    made = world(load_layout("open"), num_cells=4, layout_jitter_m=0.3)
+    rng = np.random.default_rng(12)
+    start, end = rng.uniform(0, made.office(0).layout.room.size, (2, 4, 400, 3))
+    counted = made.sight.blockers(start, end, np.full(400, -1))
+    expected = [crossed(made.office(e).layout, start[e], end[e], 0) for e in range(4)]
+    np.testing.assert_array_equal(counted, expected)
+    assert not np.array_equal(crossed(made.office(1).layout, start[0], end[0], 0), expected[0])
 
 
 def test_touching_and_nested_bricks_of_one_and_of_several_obstacles():

@@ -40,7 +40,15 @@ def assert_same(a: Slot, b: Slot, cell: int, tolerance: float) -> None:
 @pytest.mark.parametrize(("drive", "tolerance"), [("kinematic", 1e-12), ("wheels", 1e-9)])
 @pytest.mark.parametrize("factor", [0.0, 0.5])
 def test_cells_together_are_cells_one_by_one(drive, tolerance, factor):
-    settings = config(drive, difference_factor=factor, fading_memory=0.7)
+    assert_cells_alone_give_the_same(config(drive, difference_factor=factor, fading_memory=0.7), tolerance)
+
+
+def test_cells_with_furniture_of_their_own_are_cells_one_by_one():
+    world = World(drive="kinematic", layout="open", layout_jitter_m=0.3, body_blockage=True)
+    assert_cells_alone_give_the_same(Config(world=world, radio=Radio(decoding_order="static")), 1e-12)
+
+
+def assert_cells_alone_give_the_same(settings: Config, tolerance: float) -> None:
     together = Simulator(settings, num_cells=3)
     rng = np.random.default_rng(6)
     commands = [inputs(together, rng, 3) for _ in range(8)]
@@ -94,6 +102,78 @@ def test_frozen_fading():
         assert [np.allclose(a, b, rtol=1e-12, atol=0) for a, b in zip(before, after, strict=True)] == [same] * 3
         simulator.reset()
         assert not np.allclose(simulator.scene.channels.incident, after.incident, rtol=1e-3, atol=0)
+
+
+def standing(num_cells: int, rician_k_db: float, memory: float) -> Simulator:
+    """Cells whose people stay where they are."""
+    world = World(drive="kinematic", walk_scale_m=0.0)
+    return Simulator(Config(world=world, radio=Radio(rician_k_db=rician_k_db, fading_memory=memory)), num_cells)
+
+
+def direct_fading(simulator: Simulator, slots: int) -> np.ndarray:
+    """Small-scale fading of the direct channels while nothing moves, [T, E, K, M]."""
+    rest = np.zeros((simulator.num_cells, 2)), np.zeros((simulator.num_cells, 16)), np.full((simulator.num_cells, 4), 0)
+    amplitude = 10 ** (simulator.scene.path_loss_db[:, :4, None] / 20)
+    return np.stack([simulator.step(*rest).scene.channels.direct * amplitude for _ in range(slots)])
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.6])
+def test_fading_memory_is_the_correlation_of_blocked_links_over_the_slots(memory):
+    simulator = standing(4, 7.0, memory)
+    fading = direct_fading(simulator, 400)[:, simulator.scene.blockers[:, :4] > 0]
+    assert fading.shape[1] >= 4
+    for lag in (1, 3):
+        assert np.mean(fading[lag:] * fading[:-lag].conj()) == pytest.approx(memory**lag, abs=0.1)
+    assert np.mean(abs(fading) ** 2) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("k_db", [0.0, 7.0])
+def test_links_in_sight_have_the_k_factor(k_db):
+    simulator = standing(4, k_db, 0.0)
+    fading = direct_fading(simulator, 400)[:, simulator.scene.blockers[:, :4] == 0]
+    assert fading.shape[1] >= 4
+    constant, scattered = np.mean(abs(fading.mean(0)) ** 2), np.mean(fading.var(0))
+    assert 10 * np.log10(constant / scattered) == pytest.approx(k_db, abs=0.4)
+    assert constant + scattered == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("pattern", ["isotropic", "cosine"])
+def test_channels_in_sight_are_path_lengths_and_patterns(pattern):
+    simulator = Simulator(config(layout="open", rician_k_db=60.0, element_pattern=pattern), num_cells=3)
+    world, wavelength = simulator.config.world, 299_792_458 / 2e9
+    scene = play(simulator, 4)[-1].scene
+    seen = 0
+    for e in range(3):
+        ap, facing = simulator.world.office(e).ap_position, simulator.world.office(e).layout.ap.facing
+        turn = scene.panel_heading[e]
+        line = np.array([-math.sin(facing), math.cos(facing), 0])
+        antennas = [ap + (m - 1.5) * wavelength / 2 * line for m in range(4)]
+        panel = np.array([*scene.rover_xy[e], world.panel_height_m])
+        across = np.array([-math.sin(turn), math.cos(turn), 0])
+        elements = [
+            panel + ((col - 1.5) * across + np.array([0, 0, row - 1.5])) * wavelength / 2
+            for row in range(4)
+            for col in range(4)
+        ]
+        users = [np.array([*xy, world.user_height_m]) for xy in scene.users_xy[e]]
+
+        def gain(end: np.ndarray, panel=panel, turn=turn) -> float:
+            cosine = float((end - panel) @ [math.cos(turn), math.sin(turn), 0]) / math.dist(end, panel)
+            return 1 if pattern == "isotropic" else 2 * 1.57 * max(cosine, 0) ** 0.57
+
+        links = [(scene.channels.direct[e, k], [user], antennas, 1) for k, user in enumerate(users)]
+        links += [(scene.channels.reflected[e, k], [user], elements, gain(user)) for k, user in enumerate(users)]
+        links += [(scene.channels.incident[e], elements, antennas, gain(ap))]
+        for link, (got, ends, starts, pattern_gain) in enumerate(links):
+            if scene.blockers[e, link] == 0:
+                amplitude = 10 ** (-scene.path_loss_db[e, link] / 20) * math.sqrt(pattern_gain)
+                expected = [
+                    [amplitude * np.exp(-2j * np.pi * math.dist(a, b) / wavelength) for b in starts] for a in ends
+                ]
+                # The diffuse part is 60 dB below.
+                np.testing.assert_allclose(got.reshape(len(ends), -1), expected, rtol=0, atol=6e-3 * amplitude)
+                seen += 1
+    assert seen > 15
 
 
 def test_static_order_is_that_of_the_first_slot():

@@ -1,4 +1,4 @@
-"""Policies on the same held-out scenes: sum rate, QoS share and collisions, with 95 % intervals."""
+"""Policies on the same held-out scenes: sum rate and constraints, with 95 % intervals."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -8,6 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError
+from mjris.constraints import NAMES
 from mjris.radiomap import penalised
 from mjris.task import Task
 
@@ -40,6 +41,8 @@ class Played:
     collisions: int
     clearance_m: float
     """Smallest clearance of all scenes [m]."""
+    violations: Mapping[str, int]
+    """Slots of all scenes that broke each constraint, by its name."""
 
 
 def play(config: Config, act: Act, scenes: int, seed: int) -> Played:
@@ -48,6 +51,7 @@ def play(config: Config, act: Act, scenes: int, seed: int) -> Played:
     observation = task.reset(seed)
     rates, values, met = [], [], []
     collisions, clearance = 0, np.inf
+    violations = dict.fromkeys(NAMES, 0)
     for _ in range(config.task.slots):
         outcome = task.step(np.asarray(act(observation), np.float64))
         observation, slot = outcome.observation, outcome.slot
@@ -56,7 +60,9 @@ def play(config: Config, act: Act, scenes: int, seed: int) -> Played:
         met.append(slot.qos_met.all(-1))
         collisions += int(slot.collisions.sum())
         clearance = min(clearance, float(slot.clearance_m.min()))
-    return Played(np.mean(rates, 0), np.mean(values, 0), np.mean(met, 0), collisions, clearance)
+        for name in NAMES:
+            violations[name] += int((~getattr(slot.constraints, name)).sum())
+    return Played(np.mean(rates, 0), np.mean(values, 0), np.mean(met, 0), collisions, clearance, violations)
 
 
 def compare(config: Config, act: Act, scenes: int, seed: int, report: Callable[[str], None]) -> pd.DataFrame:
@@ -96,4 +102,5 @@ def _row(name: str, result: Played, bare: FloatArray, rng: np.random.Generator) 
         "qos_share": result.qos_share.mean(),
         "collisions": result.collisions,
         "clearance_m": result.clearance_m,
+        **{f"violated_{name}": count for name, count in result.violations.items()},
     }

@@ -121,7 +121,7 @@ class _Stage:
 
     def __init__(self, config: Config, office: Office, rollout: Rollout, camera: str, width: int, height: int):
         self._config, self._office, self._rollout = config, office, rollout
-        self._model = copy.copy(office.model)
+        self._model = copy.copy(office.scenery)
         self._data = mujoco.MjData(self._model)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = np.isin(np.arange(mujoco.mjNGROUP), _SHOWN_GROUPS)
@@ -131,7 +131,7 @@ class _Stage:
         self._model.geom_matid[self._elements] = -1
         self._lines: list[Line] = []
         self._widen(camera, width / height)
-        for user in range(office.num_users):
+        for user in range(config.world.num_users):
             self._paint(f"person{user}/torso", np.array([*rgb(user_colour(user)), 255]) / 255)
         # The cameras look from the south, over this wall.
         self._paint("wall_south", np.array([0.93, 0.92, 0.89, 0.25]))

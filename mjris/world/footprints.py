@@ -2,7 +2,9 @@
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's names come from a compiled module.
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -43,22 +45,52 @@ class Footprints:
 
         Grown rectangles keep square corners, which errs on the safe side.
         """
+        # Few rectangles are near a segment, and only for those the slabs are worked out.
+        way = end - start
+        reach = np.hypot(way[..., 0], way[..., 1])[..., None] + self._corner + math.sqrt(2) * inflate
+        dx = start[..., 0, None] - self.centre[0][:, None]
+        dy = start[..., 1, None] - self.centre[1][:, None]
+        cell, segment, brick = near = np.nonzero(dx * dx + dy * dy <= reach * reach)
+        office = cell if self.centre.shape[1] > 1 else np.zeros_like(cell)
+        ax, ay = self.axis[:, office, brick]
+        x, y = dx[near], dy[near]
+        u, v = way[cell, segment].T
         enter, leave = np.zeros(1), np.ones(1)
-        for origin, target, half in zip(self._local(start), self._local(end), self.half, strict=True):
-            direction = target - origin
+        for origin, direction, half in (
+            (x * ax + y * ay, u * ax + v * ay, self.half[0, office, brick]),
+            (y * ax - x * ay, v * ax - u * ay, self.half[1, office, brick]),
+        ):
             # A direction along the slab would divide zero by zero on its edge; the least number keeps it finite.
             inverse = 1 / np.where(np.abs(direction) < 1e-300, 1e-300, direction)
             middle = -origin * inverse
-            reach = np.abs((half[:, None] + inflate) * inverse)
-            enter, leave = np.maximum(enter, middle - reach), np.minimum(leave, middle + reach)
-        return np.logical_not((enter < leave).any(-1))
+            slab = np.abs((half + inflate) * inverse)
+            enter, leave = np.maximum(enter, middle - slab), np.minimum(leave, middle + slab)
+        met = enter < leave
+        free = np.ones(way.shape[:-1], np.bool_)
+        free[cell[met], segment[met]] = False
+        return free
+
+    @cached_property
+    def _corner(self) -> FloatArray:
+        """From a rectangle's middle to its corners [E or 1, 1, B] [m]."""
+        return np.hypot(*self.half)[:, None]
 
     def _local(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coordinates of points [E, P, 2] along and across every rectangle, [E, P, B] each."""
-        dx = points[..., 0, None] - self.centre[0][:, None]
-        dy = points[..., 1, None] - self.centre[1][:, None]
         ax, ay = self.axis[:, :, None]
-        return dx * ax + dy * ay, dy * ax - dx * ay
+        x, y = points[..., 0, None], points[..., 1, None]
+        along, across = x * ax, y * ax
+        along += y * ay
+        across -= x * ay
+        for local, origin in zip((along, across), self._origin, strict=True):
+            local -= origin
+        return along, across
+
+    @cached_property
+    def _origin(self) -> FloatArray:
+        """Coordinates of the rectangles' middles along and across them, [2, E or 1, 1, B] [m]."""
+        (x, y), (ax, ay) = self.centre, self.axis
+        return np.stack([x * ax + y * ay, y * ax - x * ay])[:, :, None]
 
 
 def footprints(offices: list[Office], low_m: float, high_m: float) -> Footprints:

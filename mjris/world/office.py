@@ -17,6 +17,8 @@ FloatArray = NDArray[np.floating]
 
 GROUP_BLOCKERS = 1
 """Geom group of the furniture bricks, which block links."""
+GROUP_VISUALS = 2
+"""Geom group of what is for the eye only; the simulated model goes without."""
 GROUP_WALLS = 3
 """Geom group of the room's outer walls."""
 GROUP_PEOPLE = 5
@@ -41,13 +43,25 @@ def hull_height(config: Config) -> float:
     return config.world.panel_height_m + config.radio.panel_rows * config.radio.wavelength_m / 4 + 0.05
 
 
+def feeler_reach(config: Config) -> float:
+    """From what distance on the bumper reports things [m]: a tick before the rover is within what it keeps."""
+    world = config.world
+    return world.bumper_m + world.max_speed_mps * world.slot_s / world.ticks_per_slot
+
+
 @dataclass(frozen=True)
 class Office:
     """A compiled office with its rover and people, and where things are in it."""
 
     model: mujoco.MjModel
+    """What is simulated: all that can touch or block."""
     layout: Layout
-    num_users: int
+    config: Config
+
+    @cached_property
+    def scenery(self) -> mujoco.MjModel:
+        """The same bodies and joints with all that is for the eye as well."""
+        return compose(self.config, self.layout).compile()
 
     @cached_property
     def ap_position(self) -> FloatArray:
@@ -73,12 +87,12 @@ class Office:
     @cached_property
     def mocap_ids(self) -> NDArray[np.int64]:
         """Mocap index of every person, [K]."""
-        return np.array([self.model.body(f"person{k}/person").mocapid[0] for k in range(self.num_users)])
+        return np.array([self.model.body(f"person{k}/person").mocapid[0] for k in range(self.config.world.num_users)])
 
     @cached_property
     def person_bodies(self) -> NDArray[np.int64]:
         """Body id of every person, [K]."""
-        return np.array([self.model.body(f"person{k}/person").id for k in range(self.num_users)])
+        return np.array([self.model.body(f"person{k}/person").id for k in range(self.config.world.num_users)])
 
     @cached_property
     def bumper(self) -> slice:
@@ -89,8 +103,11 @@ class Office:
 
 def build(config: Config, layout: Layout) -> Office:
     """Compile a layout with the rover, its panel and the people of `config`."""
-    model = compose(config, layout).compile()
-    return Office(model, layout, config.world.num_users)
+    spec = compose(config, layout)
+    # Every geom costs time in each ray and each physics step, whether it can be met or not.
+    for geom in [geom for geom in spec.geoms if geom.group == GROUP_VISUALS]:
+        spec.delete(geom)
+    return Office(spec.compile(), layout, config)
 
 
 def compose(config: Config, layout: Layout) -> mujoco.MjSpec:
@@ -185,12 +202,10 @@ def _add_rover(spec: mujoco.MjSpec, config: Config) -> None:
 def _add_contacts(spec: mujoco.MjSpec, config: Config) -> None:
     """All that can touch, pair by pair: with MuJoCo's search over all bodies a step takes a third longer."""
     world = config.world
-    # The bumper must report an obstacle one tick before the rover is within the distance that it keeps.
-    reach = world.bumper_m + world.max_speed_mps * world.slot_s / world.ticks_per_slot
     capsules = [f"person{k}/body" for k in range(world.num_users)]
     solid = [geom.name for geom in spec.geoms if geom.group in (GROUP_BLOCKERS, GROUP_WALLS)]
     for name in solid + capsules:
-        spec.add_pair(geomname1="rover/hull", geomname2=name, gap=reach, margin=0, condim=1)
+        spec.add_pair(geomname1="rover/hull", geomname2=name, gap=feeler_reach(config), margin=0, condim=1)
     if world.drive == "wheels":
         for side in ("left", "right"):
             spec.add_pair(

@@ -9,6 +9,7 @@ from mjris.world.footprints import Footprints
 from mjris.world.office import PERSON_RADIUS_M, Office
 
 FloatArray = NDArray[np.floating]
+IntArray = NDArray[np.int64]
 
 
 class Crowd:
@@ -22,17 +23,19 @@ class Crowd:
         self._ids = office.mocap_ids
         self._from_rover = PERSON_RADIUS_M + rover_radius_m + config.clearance_m
         self._xy = np.zeros((batch.nsim, config.num_users, 2))
-        self._stride = np.zeros_like(self._xy)
+        self._start = np.zeros_like(self._xy)
+        self._step = np.zeros_like(self._xy)
+        self._walked = np.zeros((batch.nsim, config.num_users), np.int64)
 
     @property
     def xy(self) -> FloatArray:
         """Positions [E, K, 2] [m]."""
         return self._xy.copy()
 
-    def place(self, cells: NDArray[np.int64], xy: FloatArray) -> None:
+    def place(self, cells: IntArray, xy: FloatArray) -> None:
         """Stand the people of some cells at `xy` [n, K, 2] [m]."""
         self._xy[cells] = xy
-        self._stride[cells] = 0
+        self._step[cells] = 0
         self._mocap_pos[:, self._ids, :2] = self._xy
 
     def plan(self, distance: FloatArray, direction: FloatArray) -> None:
@@ -47,21 +50,39 @@ class Crowd:
         own = np.arange(apart.shape[1])
         apart[:, own, own] = np.inf
         step = np.where((apart.min(-1) >= 2 * PERSON_RADIUS_M + self._config.clearance_m)[..., None], step, 0)
-        self._stride = step / self._config.ticks_per_slot
+        self._start, self._step = self._xy.copy(), step
+        self._walked[:] = 0
         half = direction / 2
-        walking = np.logical_or(self._stride[..., 0] != 0, self._stride[..., 1] != 0)
+        walking = np.logical_or(step[..., 0] != 0, step[..., 1] != 0)
         facing = np.stack([np.cos(half), np.zeros_like(half), np.zeros_like(half), np.sin(half)], -1)
         self._mocap_quat[:, self._ids] = np.where(walking[..., None], facing, self._mocap_quat[:, self._ids])
 
-    def walk(self, rover_xy: FloatArray) -> None:
-        """One tick of everyone's step, except who would come too close to the rover [E, 2] [m]."""
-        away = self._xy - rover_xy[:, None]
-        ahead = away + self._stride
-        gap_now, gap = _squared_length(away), _squared_length(ahead)
+    def stride_m(self) -> FloatArray:
+        """How far everyone means to walk in this slot [E, K] [m]."""
+        return np.sqrt(_squared_length(self._step))
+
+    def walk(self, cells: IntArray, rover_xy: FloatArray) -> FloatArray:
+        """One tick of everyone's step in some cells, except who would come too close to the rover there [n, 2] [m].
+
+        Returns how near the nearest one is to the rover then [n] [m].
+        """
+        ticks = self._config.ticks_per_slot
+        away = self._xy[cells] - rover_xy[:, None]
+        gap_now, gap = _squared_length(away), _squared_length(away + self._step[cells] / ticks)
         # Whom the rover has come close to may still walk away from it.
         room = np.logical_or(gap >= self._from_rover**2, gap > gap_now)
-        self._xy += self._stride * room[..., None]
-        self._mocap_pos[:, self._ids, :2] = self._xy
+        self._walked[cells] += room
+        # From the start, not from the last place: ticks lead to the same number as one leap.
+        self._move(cells, self._start[cells] + self._walked[cells][..., None] / ticks * self._step[cells])
+        return np.sqrt(np.where(room, gap, gap_now).min(-1))
+
+    def arrive(self, cells: IntArray) -> None:
+        """Everyone's whole step at once, in cells where the rover is far."""
+        self._move(cells, self._start[cells] + self._step[cells])
+
+    def _move(self, cells: IntArray, xy: FloatArray) -> None:
+        self._xy[cells] = xy
+        self._mocap_pos[cells[:, None], self._ids, :2] = xy
 
 
 def _segment_distance(start: FloatArray, step: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from mujoco.batch import Batch
@@ -17,17 +18,21 @@ from mjris.world.office import (
     PERSON_RADIUS_M,
     Office,
     build,
+    feeler_reach,
     hull_height,
     hull_radius,
 )
+from mjris.world.paths import Paths
 from mjris.world.people import Crowd
-from mjris.world.rover import Fleet
+from mjris.world.rover import make_fleet
 from mjris.world.sight import Sight
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
 _PLACING_TRIES = 2000
+_WAY_MARGIN_M = 0.05
+"""Planned ways leave this much more room than the bumper asks for, a tick's way at the default speed."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +54,18 @@ class World:
         layouts = [jittered(layout, jitter, rng) for rng in generators] if jitter > 0 else [layout]
         self.offices = [build(config, each) for each in layouts]
         office = self.offices[0]
-        self.batch = Batch(office.model, self.num_cells)
+        # The straight drive asks for little at a time: waking threads costs more than they save.
+        self.batch = Batch(office.model, self.num_cells, nthread=1 if config.world.drive == "kinematic" else 0)
         if jitter > 0:
             self.batch.set_models([each.model for each in self.offices])
         self.hull_radius_m = hull_radius(config)
+        self._cells = np.arange(self.num_cells)
+        self._feeler_m = feeler_reach(config)
         self._hull_solid = footprints(self.offices, HULL_FLOOR_GAP_M, hull_height(config))
         self._body_solid = footprints(self.offices, 0.0, PERSON_HEIGHT_M)
-        self.fleet = Fleet(config.world, office, self.batch)
+        self.fleet = make_fleet(config.world, office, self.batch)
         self.crowd = Crowd(config.world, office, self.batch, self._body_solid, self.hull_radius_m)
-        self.sight = Sight(office, self.batch, config.world.body_blockage)
+        self.sight = Sight(office, self.batch, config.world.body_blockage, own_furniture=jitter > 0)
         self.on_tick: Callable[[], None] | None = None
         """Called after every tick, for those who film."""
 
@@ -80,34 +88,47 @@ class World:
         self.fleet.place(cells, start, heading)
         places = [self._free_places(int(e), rng) for e, rng in zip(cells, generators, strict=True)]
         self.crowd.place(cells, np.stack(places))
-        self.fleet.sense()
 
     def move(self, displacement: FloatArray, distance: FloatArray, direction: FloatArray) -> Motion:
         """One slot: rovers move by `displacement` [E, 2] [m], people `distance` [m], `direction` [rad], both [E, K]."""
-        target = self.fleet.xy + displacement
         self.crowd.plan(distance, direction)
-        nearest = np.full(self.num_cells, np.inf)
-        collisions = np.zeros(self.num_cells, np.int64)
-        for _ in range(self.config.ticks_per_slot):
-            self.crowd.walk(self.fleet.xy)
-            self.fleet.drive(target)
-            contact, _ = self.fleet.contacts()
-            nearest = np.minimum(nearest, contact.min(-1))
-            collisions += (contact < 0).sum(-1)
+        solid, people = self._gaps()
+        length = np.hypot(displacement[:, 0], displacement[:, 1])
+        meeting = (people - self.crowd.stride_m()).min(-1) <= length + max(self._feeler_m, self.config.clearance_m)
+        busy = self.fleet.begin(displacement, solid - self._feeler_m, np.logical_or(meeting, self.on_tick is not None))
+        self.crowd.arrive(np.setdiff1d(self._cells, busy, assume_unique=True))
+        for _ in range(self.config.ticks_per_slot if len(busy) else 0):
+            nearest = self.crowd.walk(busy, self.fleet.xy[busy])
+            self.fleet.drive(busy, nearest - PERSON_RADIUS_M - self.hull_radius_m - self._feeler_m)
             if self.on_tick is not None:
                 self.on_tick()
-        return Motion(np.minimum(nearest, self.clearance()), collisions)
+        clearance = self.clearance()
+        self.fleet.read(np.flatnonzero(clearance < self._feeler_m))
+        return Motion(np.minimum(self.fleet.nearest_m, clearance), self.fleet.penetrations.copy())
 
     def clearance(self) -> FloatArray:
         """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
+        solid, people = self._gaps()
+        return np.minimum(solid, people.min(-1))
+
+    def _gaps(self) -> tuple[FloatArray, FloatArray]:
+        """Distance of the hulls to furniture and walls [E] and to every person [E, K] [m]."""
         xy = self.fleet.xy
         solid = self._hull_solid.distance(xy[:, None])[:, 0]
-        people = np.linalg.norm(self.crowd.xy - xy[:, None], axis=-1).min(-1) - PERSON_RADIUS_M
-        return np.minimum(solid, people) - self.hull_radius_m
+        away = self.crowd.xy - xy[:, None]
+        people = np.hypot(away[..., 0], away[..., 1]) - PERSON_RADIUS_M
+        return solid - self.hull_radius_m, people - self.hull_radius_m
 
     def straight_way_free(self, start: FloatArray, end: FloatArray, keep_m: float) -> NDArray[np.bool_]:
         """Whether segments [E, P, 2] [m] stay `keep_m` [m] from all that the hull can bump into but people, [E, P]."""
         return self._hull_solid.free_run(start, end, keep_m)
+
+    @cached_property
+    def paths(self) -> Paths:
+        """Shortest ways for the rovers, worked out when first asked for."""
+        layout = self.office(0).layout
+        keep_m = self.hull_radius_m + self.config.bumper_m + _WAY_MARGIN_M
+        return Paths(self._hull_solid, layout.room.size[:2], layout.start, keep_m)
 
     def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
         """Random places [K, 2] [m] with clearance from everything."""

@@ -1,0 +1,95 @@
+"""The constraints of the paper's problem formulation, each evaluated for every slot."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.config import Config
+from mjris.radio import access
+
+FloatArray = NDArray[np.floating]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_ROUNDING = 1e-9
+"""Relative tolerance of a power budget."""
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Which constraints a slot kept, bool [E] each; labels are those of the paper."""
+
+    in_room: BoolArray
+    """(OPPD): the rover stands in its room with the whole of its hull."""
+    power: BoolArray
+    """(OPPE): no cluster has more power than its share; with OMA a single user counts as a cluster."""
+    decoding_order: BoolArray
+    """(OPPB): users are decoded by ascending effective gain; with OMA nobody decodes the signals of others."""
+    qos: BoolArray
+    """(OPPG): every user has at least R_QoS."""
+    collision_free: BoolArray
+    """Section III-A: rover and panel touch neither obstacles nor people."""
+
+    def of_cell(self, cell: int) -> dict[str, bool]:
+        """The constraints of one cell by name."""
+        return {name: bool(getattr(self, name)[cell]) for name in NAMES}
+
+
+NAMES = tuple(field.name for field in fields(Constraints))
+"""All constraints, in the order of `Constraints`."""
+
+
+def within_room(xy: FloatArray, radius_m: float, room_m: FloatArray) -> BoolArray:
+    """Whether discs of `radius_m` [m] at `xy` [..., 2] [m] lie in rooms from the origin to `room_m` [..., 2], [...]."""
+    return np.all((xy >= radius_m) & (xy <= room_m - radius_m), axis=-1)
+
+
+def within_budget(powers_w: FloatArray, clusters: IntArray, scheme: str, tx_power_w: float) -> BoolArray:
+    """Whether powers [..., K] [W] are in the budget P: P/V for a cluster of `clusters` [V, K/V], P/K for a user of OMA.
+
+    None is negative, and a sum may exceed its budget by the relative error of rounding, 1e-9.
+    """
+    groups = powers_w[..., None] if scheme == "oma" else powers_w[..., clusters]
+    most = tx_power_w / groups.shape[-2] * (1 + _ROUNDING)
+    return np.all(powers_w >= 0, axis=-1) & np.all(groups.sum(-1) <= most, axis=-1)
+
+
+def ascending(gains: FloatArray, order: IntArray) -> BoolArray:
+    """Whether the effective gains [E, K] of every cluster's users rise in the decoding order [E, V, K/V], [E]."""
+    decoded = np.take_along_axis(gains[:, None], order, axis=-1)
+    return np.all(np.diff(decoded) >= 0, axis=(-2, -1))
+
+
+def evaluate(
+    config: Config,
+    clusters: IntArray,
+    *,
+    rover_xy: FloatArray,
+    hull_radius_m: float,
+    room_m: FloatArray,
+    effective: NDArray[np.complexfloating],
+    powers_w: FloatArray,
+    order: IntArray | None,
+    rates_bps: FloatArray,
+    collisions: IntArray,
+) -> Constraints:
+    """The constraints of a slot in E cells.
+
+    `rover_xy` [E, 2] [m] is where the slot left the rover, `room_m` [E, 2] [m] the room's size, `effective` [E, K, M]
+    and `powers_w` [E, K] [W] what was transmitted, `rates_bps` [E, K] [bit/s] what came of it. `order` [E, V, K/V] is
+    a decoding order that was fixed beforehand; None is OMA or the order of the slot's own gains, which ascend by its
+    definition.
+    """
+    radio = config.radio
+    ordered = np.ones(len(rates_bps), np.bool_)
+    if order is not None:
+        cluster_w = powers_w[:, clusters].sum(-1)
+        ordered = ascending(access.effective_gains(effective, cluster_w, clusters, radio.noise_w), order)
+    return Constraints(
+        in_room=within_room(rover_xy, hull_radius_m, room_m),
+        power=within_budget(powers_w, clusters, radio.scheme, radio.tx_power_w),
+        decoding_order=ordered,
+        qos=np.all(rates_bps >= config.task.qos_bps, axis=-1),
+        collision_free=collisions == 0,
+    )

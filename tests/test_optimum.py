@@ -1,0 +1,172 @@
+"""Reference optimum: against closed forms, exhaustive search and an independent optimiser."""
+
+import itertools
+
+import numpy as np
+import pymanopt
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymanopt.manifolds import ComplexCircle
+from pymanopt.optimizers import ConjugateGradient
+
+from mjris.config import Radio
+from mjris.eval.optimum import best_known, best_powers
+from mjris.radio.access import noma_rates, oma_rates
+from mjris.radio.channel import Channels, effective_channel, ris_response
+from mjris.radio.control import aligned_phases, qos_first_powers
+from mjris.radio.propagation import complex_normal
+
+CLUSTERS = np.array([[0, 3], [2, 1]])
+SEEDS = st.integers(0, 2**32 - 1)
+BAND = 1e6
+QOS = 5e4
+
+
+def unit_radio(power_w=10.0, **changes):
+    """A noise power of 1 W in the band of 1 MHz."""
+    return Radio(noise_dbm_per_mhz=30.0, bandwidth_hz=BAND, tx_power_dbm=10 * np.log10(power_w) + 30, **changes)
+
+
+def random_channels(rng, batch=(6,), users=4, antennas=4, elements=8):
+    """Direct and reflected paths of about the same strength, and users whose losses differ by up to 15 dB."""
+    loss = 10 ** rng.uniform(-0.75, 0, (*batch, users, 1))
+    direct = complex_normal(rng, (*batch, users, antennas)) * loss
+    incident = complex_normal(rng, (*batch, elements, antennas))
+    return Channels(direct, incident, complex_normal(rng, (*batch, users, elements)) * loss / elements)
+
+
+def rates_of(channels, phases, powers, clusters, radio):
+    effective = effective_channel(channels, ris_response(phases, radio.element_amplitude))
+    rates = oma_rates if radio.scheme == "oma" else noma_rates
+    return rates(effective, powers, clusters, radio.bandwidth_hz, radio.noise_w)
+
+
+def score(rates, qos_bps):
+    """The sum rate, and less than any sum rate where somebody misses QoS."""
+    return rates.sum(-1) - np.where((rates >= qos_bps).all(-1), 0, 1e9)
+
+
+@given(SEEDS, st.sampled_from(["noma", "oma"]), st.sampled_from([1.0, 0.6]))
+@settings(max_examples=10)
+def test_one_user_and_antenna_reach_the_closed_form(seed, scheme, amplitude):
+    channels = random_channels(np.random.default_rng(seed), users=1, antennas=1)
+    radio = unit_radio(scheme=scheme, num_clusters=1, element_amplitude=amplitude)
+    optimum = best_known(channels, np.array([[0]]), radio, QOS, np.random.default_rng(0), final_steps=5)
+    cascade = abs(channels.reflected[:, 0] * channels.incident[..., 0]).sum(-1)
+    gain = (abs(channels.direct[:, 0, 0]) + amplitude * cascade) ** 2
+    np.testing.assert_allclose(optimum.rates_bps[:, 0], BAND * np.log2(1 + 10 * gain), rtol=1e-9)
+    np.testing.assert_allclose(optimum.powers_w, 10, rtol=1e-12)
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_pymanopt_on_the_same_objective_is_not_better(scheme):
+    rng = np.random.default_rng(1)
+    channels, radio = random_channels(rng), unit_radio(scheme=scheme)
+    ours = best_known(channels, CLUSTERS, radio, QOS, rng)
+    assert (ours.rates_bps >= QOS).all()
+    manifold = ComplexCircle(8)
+    optimizer = ConjugateGradient(verbosity=0, max_iterations=200)
+    for slot, best in enumerate(score(ours.rates_bps, QOS)):
+        links = Channels(*(torch.asarray(link[slot]) for link in channels))
+
+        @pymanopt.function.pytorch(manifold)
+        def loss(response, links=links):
+            effective = effective_channel(links, response)
+            powers = qos_first_powers(effective, CLUSTERS, scheme, radio.tx_power_w, BAND, radio.noise_w, QOS)
+            rates = oma_rates if scheme == "oma" else noma_rates
+            return -rates(effective, powers, CLUSTERS, BAND, radio.noise_w).sum() / BAND
+
+        np.random.seed(slot)  # noqa: NPY002 - pymanopt draws its starts from the global generator
+        theirs = [-optimizer.run(pymanopt.Problem(manifold, loss)).cost * BAND for _ in range(3)]
+        assert best >= max(theirs) * (1 - 1e-3)
+        assert best <= max(theirs) * 1.2
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+@pytest.mark.parametrize("users", [1, 4])
+def test_random_search_is_not_better(scheme, users):
+    rng = np.random.default_rng(2)
+    clusters = CLUSTERS if users == 4 else np.array([[0]])
+    channels, radio = random_channels(rng, users=users), unit_radio(scheme=scheme, num_clusters=len(clusters))
+    best = score(best_known(channels, clusters, radio, QOS, rng).rates_bps, QOS)
+    phases = rng.uniform(-np.pi, np.pi, (3000, 6, 8))
+    effective = effective_channel(channels, ris_response(phases, 1.0))
+    powers = qos_first_powers(effective, clusters, scheme, radio.tx_power_w, BAND, radio.noise_w, QOS)
+    assert np.all(score(rates_of(channels, phases, powers, clusters, radio), QOS).max(0) < best)
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_more_effort_and_closed_forms_hardly_gain(scheme):
+    rng = np.random.default_rng(3)
+    channels, radio = random_channels(rng, batch=(20,)), unit_radio(scheme=scheme)
+    usual = score(best_known(channels, CLUSTERS, radio, QOS, rng).rates_bps, QOS)
+    effort = {"random_starts": 30, "finalists": 20, "final_steps": 80}
+    more = score(best_known(channels, CLUSTERS, radio, QOS, rng, **effort).rates_bps, QOS)
+    assert np.all(usual >= 0.98 * more)
+    assert usual.mean() >= 0.998 * more.mean()
+    phases = aligned_phases(channels)
+    effective = effective_channel(channels, ris_response(phases, 1.0))
+    powers = qos_first_powers(effective, CLUSTERS, scheme, radio.tx_power_w, BAND, radio.noise_w, QOS)
+    assert np.all(score(rates_of(channels, phases, powers, CLUSTERS, radio), QOS) <= usual)
+
+
+@given(SEEDS, st.sampled_from(["noma", "oma"]), st.sampled_from([1, 2, 4]), st.floats(0, 2e6))
+@settings(max_examples=15)
+def test_limits_are_kept(seed, scheme, num_clusters, qos_bps):
+    rng = np.random.default_rng(seed)
+    clusters = rng.permutation(4).reshape(num_clusters, -1)
+    channels = random_channels(rng, batch=(2, 3))
+    radio = unit_radio(scheme=scheme, num_clusters=num_clusters, element_amplitude=0.7)
+    effort = {"random_starts": 1, "finalists": 1, "final_steps": 3}
+    optimum = best_known(channels, clusters, radio, qos_bps, rng, **effort)
+    assert optimum.phases_rad.shape == (2, 3, 8)
+    np.testing.assert_allclose(abs(ris_response(optimum.phases_rad, 1.0)), 1, rtol=1e-12)
+    assert np.all(optimum.powers_w >= 0)
+    limit = 10 / 4 if scheme == "oma" else 10 / num_clusters
+    spent = optimum.powers_w if scheme == "oma" else optimum.powers_w[..., clusters].sum(-1)
+    assert np.all(spent <= limit * (1 + 1e-12))
+    expected = rates_of(channels, optimum.phases_rad, optimum.powers_w, clusters, radio)
+    np.testing.assert_allclose(optimum.rates_bps, expected, rtol=1e-12)
+
+
+def test_two_users_by_hand():
+    # P = 10, gains 1 and 10, noise 1, at least 1 bit: powers 5.5 and 4.5, 6.52356 bit in all.
+    channel, clusters, radio = np.array([[1.0 + 0j], [10**0.5]]), np.array([[0, 1]]), unit_radio(num_clusters=1)
+    powers = best_powers(channel, clusters, radio, BAND)
+    np.testing.assert_allclose(powers, [5.5, 4.5], rtol=1e-9)
+    assert noma_rates(channel, powers, clusters, BAND, 1.0).sum() == pytest.approx(6.52356e6, abs=10)
+    # With 4 bit for everybody out of reach, the strong user gets all.
+    np.testing.assert_allclose(best_powers(channel, clusters, radio, 4 * BAND), [0, 10], rtol=1e-9)
+    np.testing.assert_array_equal(best_powers(channel, clusters, unit_radio(scheme="oma"), BAND), [5, 5])
+
+
+@pytest.mark.parametrize("qos_bps", [0.0, 1e5, 6e5])
+def test_no_powers_on_a_grid_are_better(qos_bps):
+    rng = np.random.default_rng(4)
+    channel = complex_normal(rng, (40, 4, 4)) * 10 ** rng.uniform(-1, 0.5, (40, 4, 1))
+    radio = unit_radio()
+    best = score(noma_rates(channel, best_powers(channel, CLUSTERS, radio, qos_bps), CLUSTERS, BAND, 1.0), qos_bps)
+    steps = np.linspace(0, 1, 15)
+    pairs = np.array([pair for pair in itertools.product(steps, steps) if sum(pair) <= 1]) * 5
+    grid = np.zeros((len(pairs), len(pairs), 1, 4))
+    grid[..., CLUSTERS[0]] = pairs[:, None, None]
+    grid[..., CLUSTERS[1]] = pairs[None, :, None]
+    grid = grid.reshape(-1, 4)
+    for slot in range(40):
+        rates = noma_rates(np.broadcast_to(channel[slot], (len(grid), 4, 4)), grid, CLUSTERS, BAND, 1.0)
+        assert score(rates, qos_bps).max() <= best[slot] * (1 + 1e-9) if best[slot] > 0 else True
+
+
+def test_a_cluster_saves_power_where_that_serves_the_other():
+    # The weak user of cluster 0 hears cluster 1's beam; only if that is turned down has everybody the QoS.
+    channel = np.array([[0.5, 2.0], [3.0, 0.0], [0.0, 3.0], [0.0, 3.0]], complex)
+    radio, clusters = unit_radio(), np.array([[0, 1], [2, 3]])
+    qos_bps = 2e5
+    everything = qos_first_powers(channel, clusters, "noma", 10.0, BAND, 1.0, qos_bps)
+    assert not (noma_rates(channel, everything, clusters, BAND, 1.0) >= qos_bps).all()
+    powers = best_powers(channel, clusters, radio, qos_bps)
+    assert (noma_rates(channel, powers, clusters, BAND, 1.0) >= qos_bps).all()
+    assert powers[:2].sum() == pytest.approx(5)
+    assert powers[2:].sum() < 4

@@ -1,0 +1,196 @@
+import heapq
+import math
+
+import numpy as np
+import pytest
+
+from mjris.config import Config, ConfigError
+from mjris.config import World as WorldConfig
+from mjris.world.footprints import Footprints
+from mjris.world.layout import layout_names, load_layout
+from mjris.world.paths import Paths
+from mjris.world.world import World
+
+WALLS = [(-0.1, 3, 0.1, 3), (8.1, 3, 0.1, 3), (4, -0.1, 4, 0.1), (4, 6.1, 4, 0.1)]
+PARTITION = (4.2, 2, 0.1, 2)
+KEEP_M = 0.4
+
+
+def solid(*offices: list[tuple[float, float, float, float]]) -> Footprints:
+    """Upright rectangles (x, y, half width, half depth) in each office of 8 m × 6 m."""
+    x, y, a, b = np.moveaxis(np.array(offices, float), -1, 0)
+    return Footprints(np.stack([x, y]), np.stack([a, b]), np.stack([np.ones_like(x), np.zeros_like(x)]))
+
+
+def paths(*offices: list[tuple[float, float, float, float]]) -> Paths:
+    return Paths(solid(*offices), (8, 6), (1, 1), KEEP_M)
+
+
+def dijkstra(made: Paths, source: int) -> np.ndarray:
+    """Distances from one node by Dijkstra's algorithm, over edges found by sampling every 5 mm."""
+    reach = np.linalg.norm(made.nodes[:, None] - made.nodes, axis=-1)
+
+    def free(a: int, b: int) -> bool:
+        way = np.linspace(made.nodes[a], made.nodes[b], 240)
+        grown = made._solid.half + made.keep_m - 1e-9
+        return Footprints(made._solid.centre, grown, made._solid.axis).distance(way[None]).min() > 0
+
+    best = np.full(len(made.nodes), np.inf)
+    queue = [(0.0, source)]
+    while queue:
+        so_far, node = heapq.heappop(queue)
+        if so_far >= best[node]:
+            continue
+        best[node] = so_far
+        for other in map(int, np.flatnonzero((reach[node] < 0.5 * math.sqrt(5) + 1e-9) & (reach[node] > 0))):
+            if best[other] > so_far + reach[node, other] and free(node, other):
+                heapq.heappush(queue, (so_far + float(reach[node, other]), other))
+    return best
+
+
+def test_distances_are_those_of_dijkstra():
+    made = paths([*WALLS, PARTITION])
+    for source in (0, len(made.nodes) // 2, len(made.nodes) - 1):
+        np.testing.assert_allclose(made.distances[0, source], dijkstra(made, source), rtol=1e-5)
+
+
+def test_in_an_empty_room_ways_are_straight():
+    made = paths(WALLS)
+    straight = np.linalg.norm(made.nodes[:, None] - made.nodes, axis=-1)
+    assert (made.distances[0] >= straight - 1e-4).all()
+    assert (made.distances[0] <= 1.0275 * straight + 1e-4).all()
+    start, goal = np.array([[0.51, 0.77]]), np.array([[7.13, 5.21]])
+    assert made.distance(start, goal)[0] == pytest.approx(math.hypot(6.62, 4.44))
+    np.testing.assert_array_equal(made.toward(start, goal), goal)
+
+
+def test_around_a_partition():
+    made = paths([*WALLS, PARTITION])
+    start, goal = np.array([[3.5, 1.0]]), np.array([[5.0, 1.0]])
+    # Past the partition's end, grown by what is to be kept.
+    corners = [(3.7, 4.4), (4.7, 4.4)]
+    shortest = math.dist(start[0], corners[0]) + 1 + math.dist(corners[1], goal[0])
+    assert shortest <= made.distance(start, goal)[0] <= 1.1 * shortest
+    assert made.distance(start, goal) == pytest.approx(made.distance(goal, start), rel=1e-5)
+    place, travelled = start, 0.0
+    for _ in range(6):
+        target = made.toward(place, goal)
+        assert made._solid.free_run(place[:, None], target[:, None], KEEP_M).all()
+        travelled += float(np.linalg.norm(target - place))
+        place = target
+    np.testing.assert_allclose(place, goal)
+    assert shortest <= travelled <= made.distance(start, goal)[0] + 1e-6
+
+
+def test_distance_to_nodes_agrees_with_distance():
+    made = paths([*WALLS, PARTITION])
+    start = np.array([[3.4, 0.6], [6.3, 4.7]])
+    to_nodes = made.distance_to_nodes(start)
+    for node in range(0, len(made.nodes), 7):
+        single = made.distance(start, made.nodes[[node, node]])
+        assert (single <= to_nodes[:, node] + 1e-6).all()
+        np.testing.assert_allclose(to_nodes[:, node], single, rtol=0.04, atol=0.05)
+
+
+def test_bad_goals_are_moved_to_the_nearest_node():
+    made = paths([*WALLS, PARTITION])
+    start, goal = np.array([[1.0, 1.0]]), np.array([[0.1, 2.1]])
+    np.testing.assert_array_equal(made.toward(start, goal), [[0.5, 2.0]])
+    start, goal = np.array([[3.5, 1.0]]), np.array([[4.25, 1.0]])
+    assert made.distance(start, goal)[0] < 0.6
+
+
+def test_pockets_that_cannot_be_reached_have_no_nodes():
+    made = paths([*WALLS, (5, 3, 0.1, 3)])
+    assert made.nodes[:, 0].max() < 5
+    assert made.toward(np.array([[1.0, 1.0]]), np.array([[7.0, 1.0]]))[0, 0] < 5
+
+
+def test_every_office_has_ways_of_its_own():
+    offices = [[*WALLS, PARTITION], [*WALLS, (4.2, 4, 0.1, 2)]]
+    both, alone = paths(*offices), [paths(office) for office in offices]
+    start, goal = np.tile([[3.0, 0.9]], (2, 1)), np.tile([[5.6, 1.1]], (2, 1))
+    expected = [each.distance(start[:1], goal[:1])[0] for each in alone]
+    np.testing.assert_allclose(both.distance(start, goal), expected)
+    assert expected[1] < 3 < expected[0]
+    aim = [each.toward(start[:1], goal[:1])[0] for each in alone]
+    np.testing.assert_allclose(both.toward(start, goal), aim)
+    for e, each in enumerate(alone):
+        np.testing.assert_allclose(both.nodes[both.reachable[e]], each.nodes)
+        assert np.isinf(both.distance_to_nodes(start)[e, ~both.reachable[e]]).all()
+
+
+def test_no_floor_left():
+    with pytest.raises(ConfigError, match="keep_m"):
+        Paths(solid(WALLS), (8, 6), (1, 1), 3.5)
+
+
+def test_people_are_driven_around():
+    made = paths(WALLS)
+    start, target = np.array([[1.0, 3.0]] * 4), np.array([[5.0, 3.0]] * 4)
+    people = np.array([[[1.8, 2.9]], [[3.0, 3.0]], [[1.0, 2.5]], [[1.4, 2.6]]])
+    aim = made.around(start, target, people, 0.6)
+    assert aim[0, 1] > 3
+    np.testing.assert_array_equal(aim[1:3], target[1:3])
+    assert aim[3, 1] > 3
+    way = np.linspace(start[0], aim[0], 100)
+    assert np.linalg.norm(way - people[0], axis=-1).min() >= 0.6 - 1e-9
+    crowded = np.array([[[1.7, y] for y in (1.9, 2.4, 3.0, 3.6, 4.1)]])
+    np.testing.assert_array_equal(made.around(start[:1], target[:1], crowded, 0.6), target[:1])
+
+
+def driven(name: str, drive: str, cells: int, tight: bool, jitter: float = 0.0) -> tuple[World, np.ndarray, np.ndarray]:
+    """A world without people in the way, and random free places and goals [E, 2]."""
+    config = Config(world=WorldConfig(drive=drive, layout_jitter_m=jitter))  # pyright: ignore[reportArgumentType]
+    rng = np.random.default_rng(7)
+    made = World(config, load_layout(name), [np.random.default_rng([7, e]) for e in range(cells)])
+    outside = np.tile(-5.0 - np.arange(made.config.num_users)[:, None], (cells, 1, 2))
+    made.crowd.place(np.arange(cells), outside)
+    size = np.array(made.office(0).layout.room.size[:2])
+    least = made.hull_radius_m + made.config.bumper_m
+    places = np.zeros((2, cells, 2))
+    for cell in range(cells):
+        nodes = made.paths.nodes[made.paths.reachable[cell % len(made.offices)]]
+        tried = rng.uniform(0, size, (1500, 2))
+        room = made._hull_solid.of_cell(cell).distance(tried[None])[0]
+        near = np.linalg.norm(tried[:, None] - nodes, axis=-1).min(1) < 0.6
+        starts = tried[(room >= least) & (room < (least + 0.01 if tight else np.inf)) & near]
+        places[:, cell] = starts[0], tried[(room >= least) & near][-1]
+    made.fleet.place(np.arange(cells), places[0], rng.uniform(-math.pi, math.pi, cells))
+    return made, places[0], places[1]
+
+
+@pytest.mark.parametrize("tight", [False, True])
+@pytest.mark.parametrize("name", layout_names())
+def test_rovers_arrive_from_anywhere(name, tight):
+    assert_arrives(*driven(name, "kinematic", 10, tight))
+
+
+def test_rovers_on_wheels_arrive():
+    assert_arrives(*driven("office", "wheels", 6, True))
+
+
+def test_rovers_arrive_in_furniture_of_their_own():
+    assert_arrives(*driven("clinic", "kinematic", 4, True, jitter=0.4))
+
+
+def assert_arrives(made: World, start: np.ndarray, goal: np.ndarray) -> None:
+    """Every rover reaches its goal in time and bumps into nothing."""
+    still = np.zeros((made.num_cells, made.config.num_users))
+    ways, reach = made.paths, made.config.max_speed_mps * made.config.slot_s
+    goal = ways._last_nodes(goal)[0]
+    budget = 1.3 * ways.distance(start, goal) / reach + 4
+    left = np.linalg.norm(goal - start, axis=-1)
+    for slot in range(1, 1 + math.ceil(budget.max())):
+        here = made.fleet.xy
+        move = ways.toward(here, goal) - here
+        move *= np.minimum(1, reach / np.maximum(np.linalg.norm(move, axis=-1, keepdims=True), 1e-9))
+        assert (made.move(move, still, still).collisions == 0).all()
+        left = np.linalg.norm(goal - made.fleet.xy, axis=-1)
+        assert (left[slot > budget] < 0.1).all()
+    assert (left < 0.1).all()
+
+
+def test_a_large_room_gets_a_wider_grid():
+    walls = [(-0.1, 30, 0.1, 30), (50.1, 30, 0.1, 30), (25, -0.1, 25, 0.1), (25, 60.1, 25, 0.1)]
+    assert 900 < len(Paths(solid(walls), (50, 60), (9, 9), KEEP_M).nodes) < 1400
