@@ -1,5 +1,6 @@
 """The simulator: E cells stepped together once a slot, from motion over sight and channels to rates."""
 
+import copy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -63,7 +64,7 @@ class _Streams(NamedTuple):
     own: np.random.Generator
     """Places, steps and fading of this cell."""
     shared: np.random.Generator
-    """This cell's copy of the one that all cells share."""
+    """The one that all cells share, or a copy of it where cells are not at the same place of their episodes."""
     phases: np.random.Generator
     """Random phases: a stream of their own, so that they leave the rest of the scene as it is."""
 
@@ -99,10 +100,11 @@ class Simulator:
 
     def seed(self, seed: int, cells: IntArray | None = None) -> None:
         """Restart the random streams of some cells, all by default."""
+        shared = np.random.default_rng(seed)
         fresh = [
             _Streams(
                 own=np.random.default_rng([seed, number, 0]),
-                shared=np.random.default_rng(seed),
+                shared=shared,
                 phases=np.random.default_rng([seed, number, 2]),
             )
             for number in self._numbers
@@ -116,6 +118,9 @@ class Simulator:
     def reset(self, cells: IntArray | None = None) -> Scene:
         """Begin an episode in some cells, all by default."""
         cells = np.arange(self.num_cells) if cells is None else np.asarray(cells)
+        if len(cells) < self.num_cells:
+            for e in cells:
+                self._streams[e] = self._streams[e]._replace(shared=copy.deepcopy(self._streams[e].shared))
         self.world.place(cells, [self._streams[e].own for e in cells])
         self._diffuse[cells] = self._draw_diffuse(cells)
         self._fresh[cells] = True
@@ -133,8 +138,7 @@ class Simulator:
         effective = self.effective_channel(phases_rad)
         order = self._decoding_order(effective, powers_w)
         rates = self.rates(effective, powers_w, order)
-        direct = self.scene.channels.direct
-        bare = self.rates(direct, self.qos_first_powers(direct))
+        bare = self._bare_rates()
         before = self.world.fleet.xy
         walk, direction = self._draw_steps()
         motion = self.world.move(displacement_m, walk, direction)
@@ -190,6 +194,19 @@ class Simulator:
             radio.bandwidth_hz,
             radio.noise_w,
             margin * self.config.task.qos_bps,
+        )
+
+    def _bare_rates(self) -> FloatArray:
+        """What the present slot gives without RIS under the QoS-first powers [E, K] [bit/s]."""
+        radio = self.config.radio
+        return control.qos_first_rates(
+            self.scene.channels.direct,
+            self.clusters,
+            radio.scheme,
+            radio.tx_power_w,
+            radio.bandwidth_hz,
+            radio.noise_w,
+            self.config.task.qos_bps,
         )
 
     def _decoding_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
@@ -269,7 +286,9 @@ class Simulator:
         """Fresh diffuse fading of some cells [n, ...], correlated between cells by the difference factor."""
         factor = self.config.radio.difference_factor
         size = self._diffuse.shape[1:]
-        shared = np.stack([propagation.complex_normal(self._streams[e].shared, size) for e in cells])
+        sources = {id(self._streams[e].shared): self._streams[e].shared for e in cells}
+        drawn = {key: propagation.complex_normal(source, size) for key, source in sources.items()}
+        shared = np.stack([drawn[id(self._streams[e].shared)] for e in cells])
         if factor == 0:
             return shared
         own = np.stack([propagation.complex_normal(self._streams[e].own, size) for e in cells])

@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjris.radio.access import decoding_order, noma_rates
+from mjris.radio.access import decoding_order, noma_rates, oma_rates
 from mjris.radio.channel import Channels, effective_channel, ris_response
-from mjris.radio.control import aligned_phases, qos_first_powers, split_powers
+from mjris.radio.control import aligned_phases, qos_first_powers, qos_first_rates, split_powers
 from mjris.radio.propagation import complex_normal
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
@@ -142,3 +142,12 @@ def test_qos_first_meets_qos_where_power_lasts(seed, qos, static):
 def test_unreachable_qos_leaves_the_power_to_the_others():
     channel = np.array([[1.0 + 0j], [10**0.5]])
     np.testing.assert_array_equal(qos_first_powers(channel, np.array([[0, 1]]), "noma", 10.0, 1.0, 1.0, 4.0), [0, 10])
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_qos_first_rates_are_those_of_the_qos_first_powers(scheme):
+    channel = complex_normal(np.random.default_rng(3), (50, 4, 3))
+    arguments = (50.0, 1.0, 0.1, 0.4)
+    powers = qos_first_powers(channel, CLUSTERS, scheme, *arguments)
+    expected = (noma_rates if scheme == "noma" else oma_rates)(channel, powers, CLUSTERS, 1.0, 0.1)
+    np.testing.assert_allclose(qos_first_rates(channel, CLUSTERS, scheme, *arguments), expected, rtol=1e-9)

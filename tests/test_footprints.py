@@ -94,10 +94,10 @@ def test_footprints_of_a_layout_are_its_bricks_and_walls(name):
     np.testing.assert_allclose(solid.distance(points[None])[0], expected, atol=1e-9)
 
 
-def test_of_cell_picks_a_cell_or_what_all_share():
+def test_some_cells_have_their_own_or_what_all_share():
     parts = [from_rectangles([(x, 0.0, 1.0, 1.0, 0.0)]) for x in (0.0, 3.0)]
     both = Footprints(*(np.concatenate([getattr(p, name) for p in parts], 1) for name in ("centre", "half", "axis")))
     points = np.array([[[3.0, 2.0]]])
-    assert both.of_cell(0).distance(points)[0, 0] == pytest.approx(math.hypot(2, 1))
-    assert both.of_cell(1).distance(points)[0, 0] == pytest.approx(1)
-    assert parts[0].of_cell(5) is parts[0]
+    assert both.of(np.array([0])).distance(points)[0, 0] == pytest.approx(math.hypot(2, 1))
+    assert both.of(np.array([1])).distance(points)[0, 0] == pytest.approx(1)
+    assert parts[0].of(np.array([5])) is parts[0]

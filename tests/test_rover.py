@@ -75,7 +75,7 @@ def free_places_near(made: World, targets: np.ndarray, rng: np.random.Generator)
     tried = np.concatenate(
         [rng.uniform(0, size, (4000, 2)), targets.repeat(400, 0) + rng.normal(0, 1, (len(targets) * 400, 2))]
     )
-    solid = made._hull_solid.of_cell(0).distance(tried[None])[0]
+    solid = made._hull_solid.of(np.array([0])).distance(tried[None])[0]
     tried = tried[((tried > 0) & (tried < size)).all(-1) & (solid > made.hull_radius_m + made.config.bumper_m)]
     chosen = []
     for cell, target in enumerate(targets):

@@ -167,6 +167,22 @@ def test_links_that_graze_faces_and_edges(offset_m):
     np.testing.assert_array_equal(assert_counts_agree(layout, end, start), counts)
 
 
+@pytest.mark.parametrize("behind_m", [1e-5, 1e-3])
+def test_a_film_right_behind_a_face_counts(behind_m):
+    block = Brick(at=(0, 0, 1), size=(1, 1, 2), material="wood")
+    film = Brick(at=(behind_m + 5e-5 - 0.5, 0, 1), size=(1e-4, 0.5, 1), material="wood")
+    obstacles = tuple(
+        Obstacle(name=f"solid{index}", position=(5, 2), yaw=0.0, bricks=(brick,))
+        for index, brick in enumerate((block, film))
+    )
+    ap = AccessPoint(position=(5, 3.9, 2.6), facing_deg=270.0)
+    layout = Layout(name="film", room=Room(size=(10, 4, 3)), ap=ap, start=(1, 1), obstacles=obstacles)
+    start, end = np.array([[3, 2, 1], [7, 2, 1], [3, 2.4, 1]]), np.array([[7, 2, 1], [3, 2, 1], [7, 2.4, 1]])
+    assert_counts_agree(layout, start, end)
+    counted = world(layout).sight.blockers(start[None], end[None], np.full(3, -1))[0]
+    assert counted.tolist() == [2, 2, 1]
+
+
 def test_jittered_cells_are_counted_in_layouts_of_their_own():
     made = world(load_layout("open"), num_cells=4, layout_jitter_m=0.3)
     rng = np.random.default_rng(12)

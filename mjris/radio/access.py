@@ -40,8 +40,7 @@ def noma_rates(
     """
     clusters = partition(clusters, channel.shape[-2], channel)
     gains = _loaded_gains(channel, power_w, clusters, noise_w)
-    later = later_users(resolve_order(gains, clusters, order))
-    return _rates(_cancellation_sinr(gains, power_w, later), bandwidth_hz)
+    return cancellation_rates(gains, power_w, later_users(resolve_order(gains, clusters, order)), bandwidth_hz)
 
 
 def oma_rates(channel: Array, power_w: Array, clusters: Array, bandwidth_hz: float, noise_w: float) -> Array:
@@ -144,19 +143,19 @@ def decodable_gains(gains: Array, later: Array) -> Array:
     return xp.minimum(gains, xp.min(xp.where(later, gains[..., None, :], math.inf), axis=-1))
 
 
+def cancellation_rates(gains: Array, power_w: Array, later: Array, bandwidth_hz: float) -> Array:
+    """Rates [..., K] [bit/s] for effective gains and powers [..., K] where only `later` users interfere, eq. (inuk)."""
+    xp = array_namespace(gains, power_w)
+    interference = xp.sum(xp.where(later, power_w[..., None, :], 0.0), axis=-1)
+    gains = decodable_gains(gains, later)
+    return _rates(gains * power_w / (gains * interference + 1), bandwidth_hz)
+
+
 def _loaded_gains(channel: Array, power_w: Array, clusters: Array, noise_w: float) -> Array:
     """Effective gains [..., K] where the users have the powers `power_w` [..., K], which are checked."""
     xp = array_namespace(channel, power_w)
     _check_powers(power_w)
     return effective_gains(channel, xp.sum(arranged(power_w, clusters), axis=-1), clusters, noise_w)
-
-
-def _cancellation_sinr(gains: Array, power_w: Array, later: Array) -> Array:
-    """SINR of the users' signals [..., K] where only those of `later_users` interfere, eq. (inuk)."""
-    xp = array_namespace(gains, power_w)
-    interference = xp.sum(xp.where(later, power_w[..., None, :], 0.0), axis=-1)
-    gains = decodable_gains(gains, later)
-    return gains * power_w / (gains * interference + 1)
 
 
 def _rates(sinr: Array, bandwidth_hz: float) -> Array:

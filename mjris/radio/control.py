@@ -4,7 +4,16 @@ import math
 
 from array_api_compat import array_namespace, device
 
-from mjris.radio.access import arranged, decodable_gains, effective_gains, later_users, partition, resolve_order
+from mjris.radio.access import (
+    arranged,
+    cancellation_rates,
+    decodable_gains,
+    effective_gains,
+    later_users,
+    oma_rates,
+    partition,
+    resolve_order,
+)
 from mjris.radio.channel import Channels, effective_channel
 from mjris.radio.propagation import Array
 
@@ -63,15 +72,51 @@ def qos_first_powers(
     clusters = partition(clusters, num_users, channel)
     if _is_oma(scheme):
         return xp.full(channel.shape[:-1], tx_power_w / num_users, dtype=xp.float64, device=device(channel))
+    powers, _, _ = _qos_first(channel, clusters, tx_power_w, bandwidth_hz, noise_w, qos_bps, order)
+    return powers
+
+
+def qos_first_rates(
+    channel: Array,
+    clusters: Array,
+    scheme: str,
+    tx_power_w: float,
+    bandwidth_hz: float,
+    noise_w: float,
+    qos_bps: float,
+) -> Array:
+    """Rates of the users [..., K] [bit/s] under `qos_first_powers`, for the same arguments."""
+    if _is_oma(scheme):
+        powers = qos_first_powers(channel, clusters, scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps)
+        return oma_rates(channel, powers, clusters, bandwidth_hz, noise_w)
+    clusters = partition(clusters, channel.shape[-2], channel)
+    powers, gains, later = _qos_first(channel, clusters, tx_power_w, bandwidth_hz, noise_w, qos_bps)
+    # Clusters spend all they have, which is what the gains were worked out for.
+    return cancellation_rates(gains, powers, later, bandwidth_hz)
+
+
+def _qos_first(
+    channel: Array,
+    clusters: Array,
+    tx_power_w: float,
+    bandwidth_hz: float,
+    noise_w: float,
+    qos_bps: float,
+    order: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """`qos_first_powers` of NOMA, the effective gains [..., K] and the `later_users` that they follow from."""
+    xp = array_namespace(channel)
+    num_users = channel.shape[-2]
     num_clusters, size = clusters.shape
     budgets = xp.full((num_clusters,), tx_power_w / num_clusters, dtype=xp.float64, device=device(channel))
     gains = effective_gains(channel, budgets, clusters, noise_w)
     resolved = resolve_order(gains, clusters, order)
-    gains = decodable_gains(gains, later_users(resolved))
+    later = later_users(resolved)
     sequence = xp.broadcast_to(xp.reshape(resolved, (*resolved.shape[:-2], num_users)), gains.shape)
-    gains = xp.reshape(xp.take_along_axis(gains, sequence, axis=-1), (*gains.shape[:-1], num_clusters, size))
-    powers = xp.reshape(qos_first_split(gains, budgets, bandwidth_hz, qos_bps), sequence.shape)
-    return xp.take_along_axis(powers, xp.argsort(sequence, axis=-1), axis=-1)
+    decoded = xp.take_along_axis(decodable_gains(gains, later), sequence, axis=-1)
+    decoded = xp.reshape(decoded, (*gains.shape[:-1], num_clusters, size))
+    powers = xp.reshape(qos_first_split(decoded, budgets, bandwidth_hz, qos_bps), sequence.shape)
+    return xp.take_along_axis(powers, xp.argsort(sequence, axis=-1), axis=-1), gains, later
 
 
 def qos_first_split(gains: Array, budget_w: Array, bandwidth_hz: float, qos_bps: float) -> Array:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from mjris.world.office import GROUP_BLOCKERS, GROUP_WALLS, Office
 
 FloatArray = NDArray[np.floating]
+IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,11 @@ class Footprints:
     half: FloatArray
     axis: FloatArray
 
-    def of_cell(self, cell: int) -> "Footprints":
-        """The footprints of one cell."""
+    def of(self, cells: IntArray) -> "Footprints":
+        """The footprints of some cells [n]."""
         if self.centre.shape[1] == 1:
             return self
-        return Footprints(*(part[:, cell : cell + 1] for part in (self.centre, self.half, self.axis)))
+        return Footprints(*(part[:, cells] for part in (self.centre, self.half, self.axis)))
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Distance from points [E, P, 2] [m] to the nearest rectangle, [E, P] [m]; zero inside one."""

@@ -17,6 +17,8 @@ _MOST_NODES = 1300
 """Larger rooms get a wider grid: memory grows with the square of the nodes, time with the cube."""
 _STEPS = np.array([(1, 0), (1, 1), (0, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1)])
 """Half of a node's sixteen neighbours, in grid steps; the others are opposite. Ways are at most 2.8 % too long."""
+_SLACK_M = 0.01
+"""Edges keep this much more, so that they are in free sight for a rover that is not quite on a node."""
 _NEAR_NODES = 16
 """Nodes around a place that are tried as the first one of its way."""
 _SAMPLES = 12
@@ -185,7 +187,8 @@ class Paths:
         half = len(_STEPS)
         ends = np.broadcast_to(places[neighbours], (self._offices, *neighbours.shape, 2))
         start = np.broadcast_to(places, ends[:, :, 0].shape)
-        ahead = np.stack([self._solid.free_run(start, ends[:, :, step], self.keep_m) for step in range(half)], -1)
+        keep_m = self.keep_m + _SLACK_M
+        ahead = np.stack([self._solid.free_run(start, ends[:, :, step], keep_m) for step in range(half)], -1)
         # The way back is the neighbour's way ahead.
         free = np.concatenate([ahead, ahead[:, neighbours[:, half:], np.arange(half)]], -1)
         length = np.linalg.norm(places[neighbours] - places[:, None], axis=-1)

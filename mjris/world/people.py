@@ -61,20 +61,15 @@ class Crowd:
         """How far everyone means to walk in this slot [E, K] [m]."""
         return np.sqrt(_squared_length(self._step))
 
-    def walk(self, cells: IntArray, rover_xy: FloatArray) -> FloatArray:
-        """One tick of everyone's step in some cells, except who would come too close to the rover there [n, 2] [m].
-
-        Returns how near the nearest one is to the rover then [n] [m].
-        """
+    def walk(self, cells: IntArray, rover_xy: FloatArray) -> None:
+        """One tick of everyone's step in some cells, except who would come too close to the rover there [n, 2] [m]."""
         ticks = self._config.ticks_per_slot
         away = self._xy[cells] - rover_xy[:, None]
         gap_now, gap = _squared_length(away), _squared_length(away + self._step[cells] / ticks)
         # Whom the rover has come close to may still walk away from it.
-        room = np.logical_or(gap >= self._from_rover**2, gap > gap_now)
-        self._walked[cells] += room
+        self._walked[cells] += np.logical_or(gap >= self._from_rover**2, gap > gap_now)
         # From the start, not from the last place: ticks lead to the same number as one leap.
         self._move(cells, self._start[cells] + self._walked[cells][..., None] / ticks * self._step[cells])
-        return np.sqrt(np.where(room, gap, gap_now).min(-1))
 
     def arrive(self, cells: IntArray) -> None:
         """Everyone's whole step at once, in cells where the rover is far."""

@@ -80,7 +80,7 @@ class Fleet(ABC):
     def begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:
         """Begin a slot that leads by `displacement` [E, 2] [m]; the cells that must `drive` through it by ticks.
 
-        `room_m` [E] [m] is how far a hull may go before its bumper can feel anything. The others, unless `watched`
+        `room_m` [E] [m] is how far a hull may go before its bumper can feel furniture. The others, unless `watched`
         [E], are at the end of their ways at once.
         """
         self.nearest_m[:], self.penetrations[:] = np.inf, 0
@@ -91,8 +91,8 @@ class Fleet(ABC):
         """`begin`, by the drive."""
 
     @abstractmethod
-    def drive(self, cells: IntArray, people_m: FloatArray) -> None:
-        """One tick of some cells' ways; `people_m` [n] [m] is how far their bumpers are from feeling somebody."""
+    def drive(self, cells: IntArray, room_m: FloatArray) -> None:
+        """One tick of some cells' ways; `room_m` [n] [m] as in `begin`, and for people as well."""
 
     def read(self, cells: IntArray) -> tuple[FloatArray, FloatArray]:
         """The bumpers of some cells: distance [n, C] [m], inf where there is nothing, and horizontal direction to it.
@@ -142,7 +142,6 @@ class StraightDrive(Fleet):
         self._end = np.zeros((batch.nsim, 2))
         self._unit = np.zeros((batch.nsim, 2))
         self._left = np.zeros(batch.nsim)
-        self._room = np.zeros(batch.nsim)
 
     def face(self, direction: FloatArray) -> None:
         self._pan[:] = _wrapped(direction - self.heading)
@@ -151,7 +150,6 @@ class StraightDrive(Fleet):
         self._end = self._pose[:, :2] + displacement
         self._left = np.hypot(displacement[:, 0], displacement[:, 1])
         self._unit = displacement / np.maximum(self._left, 1e-12)[:, None]
-        self._room = room_m.copy()
         self._turn()
         by_ticks = np.logical_or(watched, self._left > room_m)
         at_once = np.flatnonzero(~by_ticks & (self._left > 0))
@@ -159,18 +157,16 @@ class StraightDrive(Fleet):
         self.forget(at_once)
         return np.flatnonzero(by_ticks)
 
-    def drive(self, cells: IntArray, people_m: FloatArray) -> None:
+    def drive(self, cells: IntArray, room_m: FloatArray) -> None:
         unit = self._unit[cells]
         # A hair more than the speed allows, so that rounding leaves nothing over after the last tick.
         step = np.minimum(self._left[cells], self._config.max_speed_mps * self._tick_s * (1 + 1e-9))
-        wary = np.flatnonzero(step > np.minimum(self._room[cells], people_m))
+        wary = np.flatnonzero(step > room_m)
         if len(wary):
-            self.forget(cells[people_m <= 0])
             step[wary] = np.minimum(step[wary], self._free_travel(unit[wary], cells[wary]))
         self._left[cells] -= step
         # From the end, not from the last place: ticks lead to the same number as one leap.
         self._pose[cells, :2] = self._end[cells] - self._left[cells, None] * unit
-        self._room[cells] -= step
         self.forget(cells[step > 0])
 
     def _turn(self) -> None:
@@ -203,8 +199,7 @@ class WheelDrive(Fleet):
         # Motors and friction want every step, whatever is near.
         return np.arange(len(room_m))
 
-    def drive(self, cells: IntArray, people_m: FloatArray) -> None:
-        self.forget(cells[people_m <= 0])
+    def drive(self, cells: IntArray, room_m: FloatArray) -> None:
         move = self._target[cells] - self._pose[cells, :2]
         length = np.hypot(move[:, 0], move[:, 1])
         heading = self._heading(cells)

@@ -37,43 +37,41 @@ class Sight:
 
         `own_body` [L] is a body that never counts for that link, -1 for none; `ids` are the cells, all by default.
         """
-        own = np.broadcast_to(own_body, start.shape[:2])
-        if self._all_alike:
-            rows = [part.reshape(1, -1, *part.shape[2:]) for part in (start, end, own)]
-            return self._count(*rows, ids=np.zeros(1, np.int64)).reshape(own.shape)
-        return self._count(start, end, own, ids)
-
-    def _count(self, start: FloatArray, end: FloatArray, own: IntArray, ids: IntArray | None) -> IntArray:
-        """`blockers` for `own` [E, L]."""
-        delta = end - start
+        cells, links = start.shape[:2]
+        ids = np.arange(cells) if ids is None else ids
+        cell = np.repeat(ids, links)
+        link = np.arange(cells * links)
+        point, delta = start.reshape(-1, 3), (end - start).reshape(-1, 3)
         left = np.sqrt((delta * delta).sum(-1))
-        direction = delta / np.maximum(left, _NUDGE_M)[..., None]
-        count = np.zeros(left.shape, np.int64)
-        row = np.arange(left.shape[0])[:, None]
-        link = np.broadcast_to(np.arange(left.shape[1]), left.shape)
-        # The open links' last hits and directions, and the bodies that do not count (again), the last met first.
-        ray = np.concatenate([start, direction], -1)
-        passed = own[..., None]
-        while link.shape[1]:
-            distance, geom = self._batch.ray(
-                ray[..., :3], ray[..., 3:], geomgroup=self._groups, bodyexclude=passed[..., 0], ids=ids
-            )
-            hit = np.logical_and(geom >= 0, distance < left)
-            body = np.where(hit, self._body_of_geom[geom], -1)
-            new = np.logical_and(hit, (body[..., None] != passed).all(-1))
-            count[row, link] += new
-            order = _open_first(hit)
-            # A finished link that is cast again, to fill a row, has nothing left to meet.
-            step = np.where(hit, distance + _NUDGE_M, left)
-            left = np.take_along_axis(left - step, order, 1)
-            link = np.take_along_axis(link, order, 1)
-            ray = np.take_along_axis(ray, order[..., None], 1)
-            ray[..., :3] += np.take_along_axis(step, order, 1)[..., None] * ray[..., 3:]
-            passed = np.take_along_axis(np.concatenate([body[..., None], passed], -1), order[..., None], 1)
-        return count
+        direction = delta / np.maximum(left, _NUDGE_M)[:, None]
+        # Bodies that do not count (again), the last met first.
+        passed = np.broadcast_to(own_body, (cells, links)).reshape(-1, 1)
+        count = np.zeros(cells * links, np.int64)
+        while len(link):
+            distance, geom = self._cast(point, direction, passed[:, 0], cell)
+            hit = np.flatnonzero((geom >= 0) & (distance < left))
+            body = self._body_of_geom[geom[hit]]
+            link, cell, passed = link[hit], cell[hit], passed[hit]
+            count[link] += (body[:, None] != passed).all(-1)
+            step = distance[hit] + _NUDGE_M
+            left = left[hit] - step
+            direction = direction[hit]
+            point = point[hit] + step[:, None] * direction
+            passed = np.concatenate([body[:, None], passed], -1)
+        return count.reshape(cells, links)
 
-
-def _open_first(hit: NDArray[np.bool_]) -> IntArray:
-    """Places of the links that met something, first in each row, with others behind to make rows of equal length."""
-    most = int(hit.sum(1).max(initial=0))
-    return np.argsort(~hit, axis=1, kind="stable")[:, :most]
+    def _cast(
+        self, point: FloatArray, direction: FloatArray, exclude: IntArray, cell: IntArray
+    ) -> tuple[FloatArray, IntArray]:
+        """First hits of rays [n] in their cells, sorted by those: distances [n] [m] and geoms [n], -1 for none."""
+        if self._all_alike:
+            # One cell can cast for all.
+            distance, geom = self._batch.ray(point, direction, self._groups, bodyexclude=exclude, ids=[0])
+            return distance[0], geom[0]
+        ids, first, size = np.unique(cell, return_index=True, return_counts=True)
+        at = np.repeat(np.arange(len(ids)), size), np.arange(len(cell)) - np.repeat(first, size)
+        shape = (len(ids), size.max())
+        points, directions, excluded = np.zeros((*shape, 3)), np.tile([0.0, 0.0, 1.0], (*shape, 1)), np.full(shape, -1)
+        points[at], directions[at], excluded[at] = point, direction, exclude
+        distance, geom = self._batch.ray(points, directions, self._groups, bodyexclude=excluded, ids=ids)
+        return distance[at], geom[at]

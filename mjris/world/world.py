@@ -92,14 +92,17 @@ class World:
     def move(self, displacement: FloatArray, distance: FloatArray, direction: FloatArray) -> Motion:
         """One slot: rovers move by `displacement` [E, 2] [m], people `distance` [m], `direction` [rad], both [E, K]."""
         self.crowd.plan(distance, direction)
-        solid, people = self._gaps()
+        solid, people = self._gaps(self._cells)
         length = np.hypot(displacement[:, 0], displacement[:, 1])
         meeting = (people - self.crowd.stride_m()).min(-1) <= length + max(self._feeler_m, self.config.clearance_m)
         busy = self.fleet.begin(displacement, solid - self._feeler_m, np.logical_or(meeting, self.on_tick is not None))
         self.crowd.arrive(np.setdiff1d(self._cells, busy, assume_unique=True))
         for _ in range(self.config.ticks_per_slot if len(busy) else 0):
-            nearest = self.crowd.walk(busy, self.fleet.xy[busy])
-            self.fleet.drive(busy, nearest - PERSON_RADIUS_M - self.hull_radius_m - self._feeler_m)
+            self.crowd.walk(busy, self.fleet.xy[busy])
+            solid, people = self._gaps(busy)
+            nearest = people.min(-1)
+            self.fleet.forget(busy[nearest <= self._feeler_m])
+            self.fleet.drive(busy, np.minimum(solid, nearest) - self._feeler_m)
             if self.on_tick is not None:
                 self.on_tick()
         clearance = self.clearance()
@@ -108,14 +111,14 @@ class World:
 
     def clearance(self) -> FloatArray:
         """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
-        solid, people = self._gaps()
+        solid, people = self._gaps(self._cells)
         return np.minimum(solid, people.min(-1))
 
-    def _gaps(self) -> tuple[FloatArray, FloatArray]:
-        """Distance of the hulls to furniture and walls [E] and to every person [E, K] [m]."""
-        xy = self.fleet.xy
-        solid = self._hull_solid.distance(xy[:, None])[:, 0]
-        away = self.crowd.xy - xy[:, None]
+    def _gaps(self, cells: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Distance of the hulls of `cells` [n] to furniture and walls [n] and to every person [n, K] [m]."""
+        xy = self.fleet.xy[cells]
+        solid = self._hull_solid.of(cells).distance(xy[:, None])[:, 0]
+        away = self.crowd.xy[cells] - xy[:, None]
         people = np.hypot(away[..., 0], away[..., 1]) - PERSON_RADIUS_M
         return solid - self.hull_radius_m, people - self.hull_radius_m
 
@@ -134,7 +137,7 @@ class World:
         """Random places [K, 2] [m] with clearance from everything."""
         office = self.office(cell)
         low, high = np.zeros(2), np.array(office.layout.room.size[:2])
-        solid = self._body_solid.of_cell(cell)
+        solid = self._body_solid.of(np.array([cell]))
         chosen: list[FloatArray] = []
         gaps = [self.hull_radius_m + PERSON_RADIUS_M + self.config.clearance_m]
         taken = [np.array(office.layout.start)]
