@@ -244,24 +244,23 @@ def _print_table(console: "Console", table: "pd.DataFrame") -> None:
     from mjris.constraints import NAMES
 
     shown = Table(title=f"{table.scenes[0]} held-out scenes, means and 95 % intervals")
-    # QoS has a column of its own; the others are expected to be kept, and share one.
-    others = [name for name in NAMES if name != "qos"]
-    for name in ("policy", "sum rate [Mb/s]", "over no RIS [%]", "QoS met", "violations"):
-        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=name != "violations")
+    for name in ("policy", "sum rate [Mb/s]", "over no RIS [%]", "QoS met", "hits"):
+        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
     for row in table.to_dict("records"):
         shown.add_row(
             row["policy"],
             f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.3f} … {row['sum_rate_high']:.3f})",
             f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f} … {row['gain_high']:+.1f})",
             f"{row['qos_share']:.1%}",
-            _violations({name: row[f"violated_{name}"] for name in others}),
+            str(row["collisions"]),
         )
     console.print(shown)
-
-
-def _violations(slots: dict[str, int]) -> str:
-    """Which constraints were broken and in how many slots, "none" for none."""
-    return ", ".join(f"{name} {count}" for name, count in slots.items() if count) or "none"
+    # QoS has a column of its own; the other constraints are expected to be kept.
+    others = [f"violated_{name}" for name in NAMES if name != "qos"]
+    for row in table.to_dict("records"):
+        broken = ", ".join(f"{name.removeprefix('violated_')} {row[name]}" for name in others if row[name])
+        if broken:
+            console.print(f"{row['policy']}: slots that broke a constraint: {broken}", highlight=False)
 
 
 def _print_leakage(table: "pd.DataFrame") -> None:

@@ -160,6 +160,8 @@ class Task:
     """mobile: the agent drives; fixed: the rover stays where it starts; none: no RIS at all."""
     phases: Literal["learned", "random"] = "learned"
     """learned: from the action; random: drawn anew every slot."""
+    motion: Literal["displacement", "waypoint"] = "displacement"
+    """displacement: where to in this slot; waypoint: a place to make for, on the shortest free way."""
     phase_reference: Literal["zero", "aligned"] = "zero"
     """The phases at action zero: none, or the closed-form alignment to the observed channel."""
     power_reference: Literal["even", "qos"] = "even"
@@ -307,7 +309,7 @@ _PAPER = Config(radio=Radio(element_pattern="isotropic"))
 
 _OFFICE = Config(
     world=World(drive="kinematic"),
-    task=Task(phase_reference="aligned", power_reference="qos", observation="map", reward="gain"),
+    task=Task(motion="waypoint", phase_reference="aligned", power_reference="qos", observation="map", reward="gain"),
     agent=Agent(network="mlp", batch_size=128, discount=0.98, target_rate=0.005),
     federation=Federation(episodes=100),
 )

@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.radio import control
-from mjris.radiomap import penalised, place_values
+from mjris.radiomap import best_goals, penalised, place_values
 from mjris.simulator import Simulator, Slot
 
 FloatArray = NDArray[np.floating]
 
 _MAP_RADII_M = (0.6, 2.0, 5.0)
 _MAP_DIRECTIONS = 8
+_WAYPOINT_REACH_M = 12.5
+"""The furthest waypoint, about half the diagonal of the default office."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Task:
         angles = np.arange(_MAP_DIRECTIONS) * 2 * np.pi / _MAP_DIRECTIONS
         circle = np.stack([np.cos(angles), np.sin(angles)], -1)
         self._map_offsets = np.concatenate([radius * circle for radius in _MAP_RADII_M])
+        self._lidar_ends = _MAP_RADII_M[-1] * circle
         residual = config.task.residual
         # The most that corrections take from a user; 5 % more for the interference of those who get it.
         self.qos_margin = 1.05 * (1 + residual) / (1 - residual)
@@ -64,7 +67,8 @@ class Task:
     def decode(self, action: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Displacement [E, 2] [m], phases [E, N] [rad] and powers [E, K] [W] of actions [E, A].
 
-        The displacement is a point of the disc that the rover can reach in a slot. Phases are π times the action,
+        The displacement is a point of the disc that the rover can reach in a slot, or leads as far toward a waypoint
+        as that; distances to waypoints grow with the square of the action's length, for fine control nearby. Phases are π times the action,
         or `residual` times that from the aligned reference. Powers are shares of what a user may have, (1 + a)/2; or
         the QoS-first ones times 1 + `residual` a, with a margin over QoS that corrections cannot use up. Neither
         exceeds the budget.
@@ -91,7 +95,11 @@ class Task:
         if self.config.task.ris != "mobile":
             return np.zeros_like(move)
         length = np.linalg.norm(move, axis=-1, keepdims=True)
-        return self._reach_m * move / np.maximum(length, 1)
+        inside = move / np.maximum(length, 1)
+        if self.config.task.motion == "displacement":
+            return self._reach_m * inside
+        offset = _WAYPOINT_REACH_M * np.minimum(length, 1) * inside
+        return self.simulator.world.way_toward(self.simulator.scene.rover_xy + offset)
 
     def _phases(self, action: FloatArray) -> FloatArray:
         if self.config.task.phases == "random":
@@ -129,16 +137,36 @@ class Task:
         ]
 
     def _observe_map(self) -> list[FloatArray]:
-        """Positions and path losses, and the gain map: what places around the rover are worth more than its own."""
+        """Positions, path losses and the radio map around the rover.
+
+        What places around it are worth more than its own, how far the ways there are free, and the place of the
+        whole floor that promises most, as a waypoint and in what it promises.
+        """
         scene, world = self.simulator.scene, self.simulator.world
         here = scene.rover_xy[:, None]
-        places = here + self._map_offsets
-        values = place_values(self.simulator, np.concatenate([here, places], 1)) / 1e6
-        keep = world.hull_radius_m + self.config.world.bumper_m
-        free = world.straight_way_free(np.broadcast_to(here, places.shape), places, keep)
+        values = place_values(self.simulator, np.concatenate([here, here + self._map_offsets], 1)) / 1e6
         gain = values[:, 1:] - values[:, :1]
+        ends = here + self._lidar_ends
+        keep = world.hull_radius_m + self.config.world.bumper_m
+        lidar = np.minimum(world.free_share(np.broadcast_to(here, ends.shape), ends, keep), 1)
+        goal, promised = best_goals(self.simulator)
         relative = (scene.users_xy - here) / self._half_room[:, None]
-        return [*self._positions(), relative, _scaled_loss(scene.path_loss_db), values[:, :1], 5 * gain, 1.0 * free]
+        return [
+            *self._positions(),
+            relative,
+            _scaled_loss(scene.path_loss_db),
+            values[:, :1],
+            5 * gain,
+            lidar,
+            self.waypoint_action(goal),
+            5 * (promised[:, None] / 1e6 - values[:, :1]),
+        ]
+
+    def waypoint_action(self, places: FloatArray) -> FloatArray:
+        """The action's first two entries that make for `places` [E, 2] [m], [E, 2]."""
+        offset = places - self.simulator.scene.rover_xy
+        share = np.linalg.norm(offset, axis=-1, keepdims=True) / _WAYPOINT_REACH_M
+        return offset / _WAYPOINT_REACH_M / np.sqrt(np.maximum(share, 1e-12)) / np.sqrt(np.maximum(share, 1))
 
     def _positions(self) -> list[FloatArray]:
         scene = self.simulator.scene

@@ -2,7 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from mjris.cli import _print_table
 from mjris.config import Config, Radio, Task, World
 from mjris.constraints import NAMES, ascending, evaluate, within_budget, within_room
 from mjris.env import OfficeEnv
@@ -156,5 +158,9 @@ def test_the_evaluation_counts_the_slots_that_break_a_constraint():
         assert table[f"violated_{name}"].tolist() == [0] * 4
     assert table["violated_decoding_order"].between(1, slots * scenes - 1).all()
     np.testing.assert_allclose(table["violated_qos"], slots * scenes * (1 - table["qos_share"]))
+    console = Console(record=True, width=80)
+    _print_table(console, table)
+    for policy, count in zip(table["policy"], table["violated_decoding_order"], strict=True):
+        assert f"{policy}: slots that broke a constraint: decoding_order {count}" in console.export_text(clear=False)
     dynamic = compare(replace(static, radio=Radio()), still, scenes, 5, lambda _: None)
     assert dynamic["violated_decoding_order"].tolist() == [0] * 4

@@ -28,7 +28,7 @@ def changed(base: Config, **fields) -> Config:
 
 
 OFFICE = preset("office")
-TASK = Task(changed(OFFICE, phase_reference="zero", power_reference="even"))
+TASK = Task(changed(OFFICE, motion="displacement", phase_reference="zero", power_reference="even"))
 QOS_TASKS = [Task(changed(OFFICE, scheme=scheme)) for scheme in ("noma", "oma")]
 
 
@@ -163,6 +163,24 @@ def test_plain_actions_mean_what_they_say():
     np.testing.assert_allclose(move, [[0.3, -0.4]])
     np.testing.assert_allclose(phases[0], np.pi * np.linspace(-1, 1, 16))
     np.testing.assert_allclose(powers[0], [0.05 * 0.5, 0.05 * 0.25, 0, 0.05])
+
+
+def test_waypoints_lead_around_furniture_and_nearby_ones_are_fine():
+    task = Task(OFFICE, num_cells=8)
+    task.reset(0)
+    here = task.simulator.scene.rover_xy
+    angle = np.arange(8) * np.pi / 4
+    action = np.zeros((8, task.action_size))
+    # The start is open for at least a metre: 12.5 m times 0.1 squared is 0.125 m straight ahead.
+    action[:, :2] = 0.1 * np.stack([np.cos(angle), np.sin(angle)], -1)
+    np.testing.assert_allclose(task.decode(action)[0], 1.25 * action[:, :2], atol=1e-9)
+    np.testing.assert_allclose(task.waypoint_action(here + 1.25 * action[:, :2]), action[:, :2], atol=1e-9)
+    goal = np.tile([2.0, 2.0], (8, 1))
+    for _ in range(60):
+        action[:, :2] = task.waypoint_action(goal)
+        outcome = task.step(action)
+        assert (outcome.slot.collisions == 0).all()
+    np.testing.assert_allclose(task.simulator.scene.rover_xy, goal, atol=0.6)
 
 
 def test_corrections_never_cost_a_served_user_its_qos():

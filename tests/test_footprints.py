@@ -42,6 +42,20 @@ def test_distance_is_that_of_the_nearest_rectangle(rectangles, points):
     np.testing.assert_allclose(actual[0], expected, atol=1e-9)
 
 
+@given(st.lists(RECTANGLE, min_size=1, max_size=3), *[COORDINATE] * 4)
+def test_free_share_ends_at_the_first_rectangle(rectangles, x0, y0, x1, y1):
+    start, end = np.array([[[x0, y0]]]), np.array([[[x1, y1]]])
+    solid = from_rectangles(rectangles)
+    share = solid.free_share(start, end, 0.1)[0, 0]
+    if share == np.inf:
+        assert solid.free_run(start, end, 0.1)[0, 0]
+        return
+    grown = from_rectangles([(x, y, a + 0.1, b + 0.1, yaw) for x, y, a, b, yaw in rectangles])
+    assert grown.distance(start + share * (end - start))[0, 0] == pytest.approx(0, abs=1e-9)
+    if share > 0:
+        assert solid.free_run(start, start + share * (1 - 1e-9) * (end - start), 0.1)[0, 0]
+
+
 @settings(max_examples=300)
 @given(st.lists(RECTANGLE, min_size=1, max_size=3), *[COORDINATE] * 4, st.floats(0, 0.5))
 def test_free_run_agrees_with_dense_sampling(rectangles, x0, y0, x1, y1, inflate):

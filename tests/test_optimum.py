@@ -53,7 +53,9 @@ def score(rates, qos_bps):
 def test_one_user_and_antenna_reach_the_closed_form(seed, scheme, amplitude):
     channels = random_channels(np.random.default_rng(seed), users=1, antennas=1)
     radio = unit_radio(scheme=scheme, num_clusters=1, element_amplitude=amplitude)
-    optimum = best_known(channels, np.array([[0]]), radio, QOS, np.random.default_rng(0), final_steps=5)
+    optimum = best_known(
+        channels, np.array([[0]]), radio, QOS, np.random.default_rng(0), screening_steps=4, final_steps=4
+    )
     cascade = abs(channels.reflected[:, 0] * channels.incident[..., 0]).sum(-1)
     gain = (abs(channels.direct[:, 0, 0]) + amplitude * cascade) ** 2
     np.testing.assert_allclose(optimum.rates_bps[:, 0], BAND * np.log2(1 + 10 * gain), rtol=1e-9)
@@ -61,27 +63,35 @@ def test_one_user_and_antenna_reach_the_closed_form(seed, scheme, amplitude):
 
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
-def test_pymanopt_on_the_same_objective_is_not_better(scheme):
+@pytest.mark.parametrize("qos_bps", [0.0, QOS])
+def test_pymanopt_on_the_same_objective_is_not_better(scheme, qos_bps):
     rng = np.random.default_rng(1)
-    channels, radio = random_channels(rng), unit_radio(scheme=scheme)
-    ours = best_known(channels, CLUSTERS, radio, QOS, rng)
-    assert (ours.rates_bps >= QOS).all()
+    channels, radio = random_channels(rng, batch=(4,)), unit_radio(scheme=scheme)
+    ours = best_known(channels, CLUSTERS, radio, qos_bps, rng)
+    assert (ours.rates_bps >= qos_bps).all()
     manifold = ComplexCircle(8)
-    optimizer = ConjugateGradient(verbosity=0, max_iterations=200)
-    for slot, best in enumerate(score(ours.rates_bps, QOS)):
+    optimizer = ConjugateGradient(verbosity=0, max_iterations=40)
+    met = 0
+    for slot, best in enumerate(ours.rates_bps.sum(-1)):
         links = Channels(*(torch.asarray(link[slot]) for link in channels))
 
-        @pymanopt.function.pytorch(manifold)
-        def loss(response, links=links):
+        def rates(response, links=links):
             effective = effective_channel(links, response)
-            powers = qos_first_powers(effective, CLUSTERS, scheme, radio.tx_power_w, BAND, radio.noise_w, QOS)
-            rates = oma_rates if scheme == "oma" else noma_rates
-            return -rates(effective, powers, CLUSTERS, BAND, radio.noise_w).sum() / BAND
+            powers = qos_first_powers(effective, CLUSTERS, scheme, radio.tx_power_w, BAND, radio.noise_w, qos_bps)
+            access = oma_rates if scheme == "oma" else noma_rates
+            return access(effective, powers, CLUSTERS, BAND, radio.noise_w)
+
+        @pymanopt.function.pytorch(manifold)
+        def loss(response, rates=rates):
+            return -rates(response).sum() / BAND
 
         np.random.seed(slot)  # noqa: NPY002 - pymanopt draws its starts from the global generator
-        theirs = [-optimizer.run(pymanopt.Problem(manifold, loss)).cost * BAND for _ in range(3)]
-        assert best >= max(theirs) * (1 - 1e-3)
-        assert best <= max(theirs) * 1.2
+        for _ in range(2):
+            found = rates(torch.asarray(optimizer.run(pymanopt.Problem(manifold, loss)).point))
+            if (found >= qos_bps).all():
+                met += 1
+                assert best >= found.sum() * (1 - 1e-3)
+    assert met >= 4
 
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
@@ -119,7 +129,7 @@ def test_limits_are_kept(seed, scheme, num_clusters, qos_bps):
     clusters = rng.permutation(4).reshape(num_clusters, -1)
     channels = random_channels(rng, batch=(2, 3))
     radio = unit_radio(scheme=scheme, num_clusters=num_clusters, element_amplitude=0.7)
-    effort = {"random_starts": 1, "finalists": 1, "final_steps": 3}
+    effort = {"random_starts": 1, "screening_steps": 3, "finalists": 1, "final_steps": 3}
     optimum = best_known(channels, clusters, radio, qos_bps, rng, **effort)
     assert optimum.phases_rad.shape == (2, 3, 8)
     np.testing.assert_allclose(abs(ris_response(optimum.phases_rad, 1.0)), 1, rtol=1e-12)
@@ -145,18 +155,18 @@ def test_two_users_by_hand():
 @pytest.mark.parametrize("qos_bps", [0.0, 1e5, 6e5])
 def test_no_powers_on_a_grid_are_better(qos_bps):
     rng = np.random.default_rng(4)
-    channel = complex_normal(rng, (40, 4, 4)) * 10 ** rng.uniform(-1, 0.5, (40, 4, 1))
+    channel = 1j * complex_normal(rng, (25, 4, 4)) * 10 ** rng.uniform(-1, 0.5, (25, 4, 1))
     radio = unit_radio()
     best = score(noma_rates(channel, best_powers(channel, CLUSTERS, radio, qos_bps), CLUSTERS, BAND, 1.0), qos_bps)
-    steps = np.linspace(0, 1, 15)
+    steps = np.linspace(0, 1, 13)
     pairs = np.array([pair for pair in itertools.product(steps, steps) if sum(pair) <= 1]) * 5
     grid = np.zeros((len(pairs), len(pairs), 1, 4))
     grid[..., CLUSTERS[0]] = pairs[:, None, None]
     grid[..., CLUSTERS[1]] = pairs[None, :, None]
     grid = grid.reshape(-1, 4)
-    for slot in range(40):
+    for slot in range(25):
         rates = noma_rates(np.broadcast_to(channel[slot], (len(grid), 4, 4)), grid, CLUSTERS, BAND, 1.0)
-        assert score(rates, qos_bps).max() <= best[slot] * (1 + 1e-9) if best[slot] > 0 else True
+        assert score(rates, qos_bps).max() <= max(best[slot] * (1 + 1e-9), 0)
 
 
 def test_a_cluster_saves_power_where_that_serves_the_other():

@@ -1,6 +1,5 @@
 """What the sum rate of a slot cannot exceed, whatever phases and powers are chosen."""
 
-import itertools
 import math
 
 import numpy as np
@@ -14,37 +13,77 @@ FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.integer]
 
-_TANGENTS = 3
-"""Tangents tried for every choice of users; each one gives a bound, and the least counts."""
+_TANGENTS = 2
+"""Tangents that are tried; each of them gives a bound, and the least one counts."""
+_ALIGNMENTS = 20
+"""Iterations of the alignment at whose phases a tangent touches: the closer to the best, the tighter the bound."""
 
 
 def upper_bound(channels: Channels, clusters: IntArray, radio: Radio) -> FloatArray:
     """A bound [...] [bit/s] on the sum rate of every slot, over all phases and all powers that `radio` allows.
 
-    `channels` have the leading axes [...] of the slots, `clusters` are int [V, K/V]. Proof, with c = P/(V σ²) and
-    x_k = ‖h_k‖² for the phases in question:
+    `channels` have the leading axes [...] of the slots, `clusters` are int [V, K/V]. Time and memory grow with the
+    number of ways to choose one user from each cluster. Proof, with c = P/(V σ²) and x_k = ‖h_k‖² at some phases:
 
-    1. Beams have unit norm and interference only harms, so user k has the SNR x_k p/σ² at most for a power p.
-       NOMA: in a cluster with gains e_k <= x_k/σ² the rates add up to B log2(1 + P/V max_k e_k) at most: a sum of
-       log2((1 + e_k (p_k + I_k)) / (1 + e_k I_k)) grows in each e_k, and telescopes where all are the same.
-       OMA: a user has P/K, and V/K of band and noise, so B V/K log2(1 + c x_k).
-       So the sum rate is at most B Σ_k a_k log2(1 + c x_k), for OMA with a_k = V/K, for NOMA with a_k = 1 for
-       one user of each cluster and 0 for the others, whichever choice of users gives most.
-    2. The logarithm is concave: log(1 + c x) <= log(1 + c y) + w (x - y) with w = c/(1 + c y), for any y >= 0.
-    3. All phases are shared: Σ_k a_k w_k x_k <= T for all of them, with T from `_most_gain`.
+    1. Beams have unit norm and interference only harms, so that no effective gain e_k exceeds x_k/σ².
+       NOMA: the rates B log2((1 + e_k (p_k + I_k)) / (1 + e_k I_k)) of a cluster grow with every e_k, and if all have
+       the largest one they add up to B log2(1 + e Σ_k p_k), which is at most B log2(1 + c x_k) for its best user k.
+       OMA: a user has P/K at most, and V/K of band and noise: B V/K log2(1 + c x_k).
+       So the sum rate is at most a B Σ_k log2(1 + c x_k): for NOMA with a = 1, over one user from each cluster,
+       whichever give most; for OMA with a = V/K, over all users.
+    2. The logarithm is concave: ln(1 + c x) <= ln(1 + c y) + w c (x - y) with w = 1/(1 + c y), for any y >= 0.
+    3. The users share the phases, so that Σ_k w_k x_k has the bound of `_most_gain`.
     """
+    clusters = np.asarray(clusters)
+    num_clusters, size = clusters.shape
+    oma = radio.scheme == "oma"
+    chosen = clusters.reshape(1, -1) if oma else np.stack(np.meshgrid(*clusters), -1).reshape(-1, num_clusters)
+    snr = radio.tx_power_w / (num_clusters * radio.noise_w)
     loaded = channels._replace(reflected=radio.element_amplitude * channels.reflected)
-    shares = _shares(np.asarray(clusters), radio)
-    snr = radio.tx_power_w / (radio.num_clusters * radio.noise_w)
-    links = Channels(*(link[..., None, :, :] for link in loaded))
-    weights = np.broadcast_to(shares, (*channels.direct.shape[:-2], *shares.shape))
-    bound = np.full(weights.shape[:-1], np.inf)
+    alone = _of_users(loaded, np.arange(clusters.size)[:, None])
+    # The first tangent touches at what each user could have for itself, so that the bound is not above their sum.
+    touched = snr * _most_gain(alone, np.ones(alone.direct.shape[:-1]), _aligned(alone))[..., chosen]
+    links = _of_users(loaded, chosen)
+    bound = np.full(touched.shape[:-1], np.inf)
     for _ in range(_TANGENTS):
-        phases = aligned_phases(_broadcast(links, len(shares)), weights, iterations=20)
-        effective = effective_channel(links, ris_response(phases, np.ones(())))
-        touch = snr * (abs(effective) ** 2).sum(-1)
-        weights = shares / (1 + touch)
-        most = snr * _most_gain(links, weights, phases)
-        tangent = (shares * np.log1p(touch) - weights * touch).sum(-1) + most
+        weights = 1 / (1 + touched)
+        response = _aligned(links, weights)
+        tangent = (np.log1p(touched) - weights * touched).sum(-1) + snr * _most_gain(links, weights, response)
         bound = np.minimum(bound, tangent)
-    return radio.bandwidth_hz / math.log(2) * bound.max(-1)
+        touched = snr * (abs(effective_channel(links, response)) ** 2).sum(-1)
+    return radio.bandwidth_hz / math.log(2) * (1 / size if oma else 1) * bound.max(-1)
+
+
+def _of_users(channels: Channels, users: IntArray) -> Channels:
+    """The channels of `users` [C, U] alone, [..., C, U, M] and so on: C choices of U users."""
+    incident = np.repeat(channels.incident[..., None, :, :], len(users), axis=-3)
+    return Channels(channels.direct[..., users, :], incident, channels.reflected[..., users, :])
+
+
+def _aligned(channels: Channels, weights: FloatArray | None = None) -> ComplexArray:
+    """Reflection coefficients [..., N] that nearly maximise Σ_k w_k ‖h_k‖²."""
+    return ris_response(aligned_phases(channels, weights, _ALIGNMENTS), np.ones(()))
+
+
+def _most_gain(channels: Channels, weights: FloatArray, response: ComplexArray) -> FloatArray:
+    """A bound [...] on Σ_k w_k ‖h_k‖² over all phases, tight where `response` [..., N] is nearly the best.
+
+    With ψ = (1, φ) the sum is ‖A ψ‖², where a row of A has the weighted paths to one user from one antenna. For any
+    positive diagonal matrix D it is at most λ_max(D^-½ Aᴴ A D^-½) ψᴴ D ψ, and ψᴴ D ψ = tr D because of |ψ_n| = 1. At
+    the best phases Aᴴ A ψ = D ψ for some D, which is what is taken; if the eigenvalue is one, nothing is lost. By the
+    triangle inequality the sum is at most Σ_ij |Aᴴ A|_ij, too.
+    """
+    paths = np.concatenate([channels.direct[..., None, :], cascade(channels)], -2)
+    paths = np.sqrt(weights)[..., None, None] * paths
+    # Rows for users and antennas, columns for the direct path and the elements.
+    rows = np.moveaxis(paths, -2, -1)
+    rows = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
+    columns = np.conj(rows.swapaxes(-2, -1))
+    received = rows @ np.concatenate([np.ones_like(response[..., :1]), response], -1)[..., None]
+    diagonal = abs(columns @ received)[..., 0]
+    total = diagonal.sum(-1)
+    diagonal = diagonal + 1e-9 * total[..., None] + np.finfo(float).tiny
+    # The other product of the two factors has the same largest eigenvalue, and is smaller for many elements.
+    largest = np.linalg.eigvalsh((rows / diagonal[..., None, :]) @ columns)[..., -1]
+    triangle = abs(columns @ rows).sum((-2, -1))
+    return np.minimum(largest * diagonal.sum(-1), triangle) * (1 + 1e-12)

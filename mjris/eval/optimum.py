@@ -1,6 +1,5 @@
 """Reference optimum of a slot: the best phases and powers that a search from many starts finds."""
 
-import itertools
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -13,26 +12,28 @@ from torch import Tensor
 
 from mjris.config import Radio
 from mjris.radio.access import arranged, effective_gains, noma_rates, oma_rates, resolve_order
-from mjris.radio.channel import Channels, effective_channel, ris_response
+from mjris.radio.channel import Channels, cascade, effective_channel, ris_response
 from mjris.radio.control import aligned_phases, qos_first_split
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.integer]
 
-_BATCH = 4096
-"""Phase vectors that climb together: many enough to hide the cost of a call, few enough for the cache."""
+_SLOTS = 128
+"""Slots that are searched together: enough to hide the cost of a call, few enough for the cache."""
 _MEMORY = 6
 """Steps that the quasi-Newton ascent remembers."""
 _FIRST_STEP, _LONGEST_STEP = 0.3, 1.5
 """How far a phase moves in the first step, and at most in any other [rad]."""
 _SHORTFALL_WEIGHT = 10.0
 """What a shortfall of one costs in the ascent [bit/s/Hz]: more than what rates could gain by it."""
+_BARRIER, _LAST_BARRIER = 1e-2, 1e-4
+"""What keeps the ascent from cliffs, and in the last steps [bit/s/Hz]."""
 _CLIMB_MARGIN = 1e-4
 """The ascent aims this much above QoS, relatively, so that it ends inside where QoS bounds it."""
 _MOST_CHOICES = 16
 """Choices of one user from each cluster that are tried as starts."""
-_HALVINGS = 12
+_HALVINGS = 6
 """How finely the budgets of clusters are chosen: to P/V over two to the power of this."""
 
 
@@ -48,12 +49,39 @@ class Optimum:
     """[..., K] [bit/s]"""
 
 
+class _Paths(NamedTuple):
+    """Torch channels of B slots in which the phases [B, S, N] of many starts are tried at once."""
+
+    direct: Tensor
+    """[B, 1, K M]"""
+    cascade: Tensor
+    """[B, N, K M]"""
+    shape: tuple[int, int]
+    """K, M"""
+
+    @staticmethod
+    def of(links: Channels) -> "_Paths":
+        """The paths of `links`, whose only leading axis is that of the slots."""
+        return _Paths(
+            links.direct.flatten(-2)[:, None], cascade(links).transpose(-3, -2).flatten(-2), links.direct.shape[1:]
+        )
+
+    def effective(self, phases: Tensor) -> Tensor:
+        """Effective channels [B, S, K, M]: `effective_channel`, with one product for all starts of a slot."""
+        return (self.direct + ris_response(phases, torch.ones(())) @ self.cascade).unflatten(-1, self.shape)
+
+
 class _Problem(NamedTuple):
     """What powers are chosen for."""
 
     clusters: Tensor
     radio: Radio
     qos_bps: float
+
+    @property
+    def full_budgets(self) -> Tensor:
+        """What clusters may spend: P/V each, [V] [W]."""
+        return torch.full((len(self.clusters),), self.radio.tx_power_w / len(self.clusters), dtype=torch.float64)
 
     @property
     def least_sinr(self) -> float:
@@ -68,9 +96,9 @@ def best_known(
     qos_bps: float,
     rng: np.random.Generator,
     *,
-    random_starts: int = 4,
-    screening_steps: int = 4,
-    finalists: int = 4,
+    random_starts: int = 2,
+    screening_steps: int = 6,
+    finalists: int = 6,
     final_steps: int = 20,
 ) -> Optimum:
     """The highest sum rate known for every slot, over all phases and all powers that `radio.scheme` allows.
@@ -80,31 +108,44 @@ def best_known(
     order of the slot's gains ("dynamic"), whatever `radio.decoding_order` says. This is the best of a search, not a
     proven optimum; `mjris.eval.bound` has what nothing can exceed.
 
-    The search starts from phases aligned to each user, to all users, and to one user of each cluster with and against
-    the others, and from `random_starts` random ones. All of them climb `screening_steps`, and the best `finalists`
-    another `final_steps`, by quasi-Newton ascent on the phases with QoS-first powers.
+    The search starts from phases aligned to each user, to all users, and for and against one user of each cluster, and
+    from `random_starts` random ones. All climb `screening_steps`, the best `finalists` another `final_steps`, and the
+    best of these half of that, by quasi-Newton ascent on the phases with QoS-first powers.
     """
     batch = channels.direct.shape[:-2]
     loaded = channels._replace(reflected=radio.element_amplitude * channels.reflected)
     links = Channels(*(torch.as_tensor(link).reshape(-1, *link.shape[-2:]) for link in loaded))
-    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps)
     phases = torch.zeros(links.incident.shape[:-1], dtype=torch.float64)
-    unserved = torch.arange(len(phases))
+
+    def search(problem: _Problem, slots: Tensor) -> Tensor:
+        """Set the phases of `slots`, and return whether they meet QoS."""
+        some = Channels(*(link[slots] for link in links))
+        paths = _Paths.of(some)
+        random = torch.as_tensor(rng.uniform(-np.pi, np.pi, (len(slots), random_starts, phases.shape[-1])))
+        tried = torch.cat([_informed_starts(some, problem.clusters, rng), random], 1)
+        budgets = problem.full_budgets
+        for steps, barrier, kept in (
+            (screening_steps, _BARRIER, finalists),
+            (final_steps, _BARRIER, 1),
+            (final_steps // 2, _LAST_BARRIER, 1),
+        ):
+            tried = _climb(problem, paths, tried, budgets, steps, barrier)
+            tried = _leaders(tried, _score(*_merit(problem, paths.effective(tried), budgets)), kept)
+            budgets, score = _best_budgets(problem, paths.effective(tried))
+        phases[slots] = tried[:, 0]
+        return score[:, 0] >= 0
+
+    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps)
+    met = torch.zeros(len(phases), dtype=torch.bool)
+    for slots in filter(len, torch.nonzero(_may_meet_qos(problem, links))[:, 0].split(_SLOTS)):
+        met[slots] = search(problem, slots)
     # Where QoS is out of reach for somebody, the sum rate alone decides.
-    for target in (problem, problem._replace(qos_bps=0.0)):
-        for slots in filter(len, torch.split(unserved, _BATCH // 16)):
-            some = Channels(*(link[slots] for link in links))
-            random = torch.as_tensor(rng.uniform(-np.pi, np.pi, (len(slots), random_starts, phases.shape[-1])))
-            tried = torch.cat([_aligned_starts(some, target.clusters, rng), random], 1)
-            tried = _leaders(target, some, _climb(target, some, tried, screening_steps), finalists)
-            phases[slots] = _leaders(target, some, _climb(target, some, tried, final_steps), 1)[:, 0]
-        met = _best_budgets(target, _effective(links, phases), _HALVINGS)[1] >= 0
-        unserved = torch.nonzero(~met)[:, 0]
-    effective = _effective(links, phases).numpy()
+    for slots in filter(len, torch.nonzero(~met)[:, 0].split(_SLOTS)):
+        search(problem._replace(qos_bps=0.0), slots)
+    effective = effective_channel(links, ris_response(phases, torch.ones(()))).numpy()
     powers = best_powers(effective, clusters, radio, qos_bps)
-    rates = (oma_rates if radio.scheme == "oma" else noma_rates)(
-        effective, powers, clusters, radio.bandwidth_hz, radio.noise_w
-    )
+    rate = oma_rates if radio.scheme == "oma" else noma_rates
+    rates = rate(effective, powers, clusters, radio.bandwidth_hz, radio.noise_w)
     return Optimum(*(values.reshape(*batch, -1) for values in (phases.numpy(), powers, rates)))
 
 
@@ -112,55 +153,67 @@ def best_powers(effective: ComplexArray, clusters: IntArray, radio: Radio, qos_b
     """The powers [..., K] [W] with the highest sum rate known for effective channels [..., K, M].
 
     "oma": zero forcing leaves no interference, so that everybody best has P/K. "noma": for what a cluster spends,
-    QoS-first is optimal in it. Clusters disturb each other's weaker users, so that it can pay to spend less: here each
-    spends either all of P/V or just what its QoS takes. Where QoS is out of reach for somebody, it is given up for
-    all, and the power goes to where it gives the highest sum rate.
+    QoS-first is optimal in it. Clusters disturb each other's weaker users, so that it can pay to spend less than P/V;
+    how much is searched numerically. Where QoS is out of reach for somebody, it is given up for all, and the power goes
+    to where it gives the highest sum rate.
     """
     if radio.scheme == "oma":
         return np.full(effective.shape[:-1], radio.tx_power_w / effective.shape[-2])
     channel = torch.as_tensor(effective)
     problem = _Problem(torch.as_tensor(clusters), radio, qos_bps)
     without_qos = problem._replace(qos_bps=0.0)
-    budgets, score = _best_budgets(problem, channel, _HALVINGS)
+    budgets, score = _best_budgets(problem, channel)
     served = _qos_first(problem, channel, budgets)
-    unserved = _qos_first(without_qos, channel, _best_budgets(without_qos, channel, _HALVINGS)[0])
+    unserved = _qos_first(without_qos, channel, _best_budgets(without_qos, channel)[0])
     return torch.where((score >= 0)[..., None], served, unserved).numpy()
 
 
-def _aligned_starts(channels: Channels, clusters: Tensor, rng: np.random.Generator) -> Tensor:
-    """Phases [B, S, N] aligned for various weights of the users."""
+def _may_meet_qos(problem: _Problem, links: Channels) -> Tensor:
+    """Whether every user has QoS [B] where it alone has all of the cluster's power and all paths add up in phase."""
+    radio = problem.radio
+    most = (links.direct.abs() + links.reflected.abs() @ links.incident.abs()).square().sum(-1)
+    snr = radio.tx_power_w / (len(problem.clusters) * radio.noise_w) * most
+    bands = problem.clusters.shape[1] if radio.scheme == "oma" else 1
+    return (radio.bandwidth_hz / bands * torch.log1p(snr) / math.log(2) >= problem.qos_bps).all(-1)
+
+
+def _informed_starts(links: Channels, clusters: Tensor, rng: np.random.Generator) -> Tensor:
+    """Phases [B, S, N] aligned to each user, to all, and for and against one user of each cluster."""
     num_clusters, size = clusters.shape
-    num_users = num_clusters * size
-    choices = np.array(list(itertools.islice(itertools.product(range(size), repeat=num_clusters), _MOST_CHOICES + 1)))
-    if len(choices) > _MOST_CHOICES:
-        choices = rng.integers(size, size=(_MOST_CHOICES, num_clusters))
-    users = torch.arange(num_users)
-    heads = torch.take_along_dim(clusters[None], torch.as_tensor(choices)[..., None], -1)
-    chosen = (heads == users).sum(-2).to(torch.float64)
-    weights = torch.cat([torch.eye(num_users), torch.ones(1, num_users), chosen]).to(torch.float64)
-    # The beam of a cluster follows its strongest user. Others become that where the present one is pushed down.
-    against = 2 * chosen - 1
+    users = torch.eye(clusters.numel(), dtype=torch.float64)
+    if size**num_clusters <= _MOST_CHOICES:
+        places = torch.cartesian_prod(*[torch.arange(size)] * num_clusters).reshape(-1, num_clusters)
+    else:
+        places = torch.as_tensor(rng.integers(size, size=(_MOST_CHOICES, num_clusters)))
+    chosen = users[clusters[torch.arange(num_clusters), places]].sum(-2)
+    # A cluster's beam follows its strongest user: which one that is, the phases choose by pushing others down.
+    strength = torch.linalg.vecdot(links.direct, links.direct).real[:, None]
+    weights = torch.cat(torch.broadcast_tensors(2 * chosen - 1, (2 * chosen - 1) / _nonzero(strength), chosen - 1), 1)
+    toward = torch.cat([users, users.sum(0, keepdim=True)])
     return torch.cat(
         [
-            aligned_phases(_repeated(channels, len(weights)), weights),
-            aligned_phases(_repeated(channels, len(against)), against, iterations=0),
+            aligned_phases(_repeated(links, len(toward)), toward),
+            aligned_phases(_repeated(links, weights.shape[1]), weights, iterations=0),
         ],
         1,
     )
 
 
-def _climb(problem: _Problem, channels: Channels, phases: Tensor, steps: int) -> Tensor:
+def _climb(problem: _Problem, paths: _Paths, phases: Tensor, budgets: Tensor, steps: int, barrier: float) -> Tensor:
     """Limited-memory BFGS ascent of many phase vectors [B, S, N] at once; every one has a step length of its own.
 
-    A step that does not gain enough is not taken, and a quarter of it is tried next.
+    A step that does not gain enough is not taken, and a quarter of it is tried next. The merit jumps where another user
+    of a cluster becomes the strongest one; a `barrier` [bit/s/Hz] before those cliffs lets the ascent go along them,
+    where it would get stuck. Steps may still cross.
     """
-    channels = _repeated(channels, phases.shape[1])
     aimed = problem._replace(qos_bps=problem.qos_bps * (1 + _CLIMB_MARGIN))
 
     def evaluate(phases: Tensor) -> tuple[Tensor, Tensor]:
         phases = phases.detach().requires_grad_()
-        sum_rate, shortfall = _merit(aimed, _effective(channels, phases))
+        channel = paths.effective(phases)
+        sum_rate, shortfall = _merit(aimed, channel, budgets)
         value = sum_rate / problem.radio.bandwidth_hz - _SHORTFALL_WEIGHT * shortfall
+        value = value + barrier * _lead(aimed, channel)
         return value.detach(), torch.autograd.grad(value.sum(), phases)[0]
 
     value, gradient = evaluate(phases)
@@ -199,22 +252,23 @@ def _quasi_newton(gradient: Tensor, scale: Tensor, memory: deque[tuple[Tensor, T
     return direction * torch.clamp(_LONGEST_STEP / _nonzero(direction.abs().amax(-1, keepdim=True)), max=1.0)
 
 
-def _leaders(problem: _Problem, channels: Channels, phases: Tensor, count: int) -> Tensor:
-    """The `count` best [B, count, N] of `phases` [B, S, N]."""
-    scores = _best_budgets(problem, _effective(_repeated(channels, phases.shape[1]), phases), 0)[1]
+def _leaders(phases: Tensor, scores: Tensor, count: int) -> Tensor:
+    """The `count` of `phases` [B, S, N] with the best `scores` [B, S]: [B, count, N]."""
     best = torch.topk(scores, min(count, phases.shape[1]), dim=1).indices
     return torch.take_along_dim(phases, best[..., None], 1)
 
 
-def _merit(problem: _Problem, channel: Tensor) -> tuple[Tensor, Tensor]:
-    """Sum rate [...] [bit/s] at full power, and how far users fall short of QoS [...], logarithmic; zero if met."""
+def _merit(problem: _Problem, channel: Tensor, budgets: Tensor) -> tuple[Tensor, Tensor]:
+    """Sum rate [...] [bit/s] and how far users fall short of QoS [...], logarithmic, zero if met.
+
+    Where clusters spend `budgets` [..., V] [W]; with OMA, which has none, everybody has full power.
+    """
     radio, clusters = problem.radio, problem.clusters
     if radio.scheme == "oma":
         powers = channel.new_full(channel.shape[:-1], radio.tx_power_w / channel.shape[-2], dtype=torch.float64)
         rates = oma_rates(channel, powers, clusters, radio.bandwidth_hz, radio.noise_w)
         missing = problem.qos_bps / torch.clamp(rates, min=1e-300)
         return rates.sum(-1), torch.log(torch.clamp(missing, min=1.0)).sum(-1)
-    budgets = torch.full((len(clusters),), radio.tx_power_w / len(clusters), dtype=torch.float64)
     return _cluster_merit(problem, 1 / effective_gains(channel, budgets, clusters, radio.noise_w), budgets)
 
 
@@ -234,32 +288,37 @@ def _cluster_merit(problem: _Problem, inverse_gains: Tensor, budgets: Tensor) ->
     return sum_rate, torch.log(torch.where(met, 1.0, needed / budgets)).sum(-1)
 
 
-def _best_budgets(problem: _Problem, channel: Tensor, halvings: int) -> tuple[Tensor, Tensor]:
+def _lead(problem: _Problem, channel: Tensor) -> Tensor:
+    """How clearly one user is the strongest of its cluster [...]: Σ_v ln(1 - ‖h_second‖²/‖h_first‖²)."""
+    if problem.radio.scheme == "oma" or problem.clusters.shape[1] == 1:
+        return channel.new_zeros((), dtype=torch.float64)
+    strength = arranged(torch.linalg.vecdot(channel, channel).real, problem.clusters).topk(2, -1).values
+    return torch.log1p(-torch.clamp(strength[..., 1] / strength[..., 0], max=1 - 1e-9)).sum(-1)
+
+
+def _best_budgets(problem: _Problem, channel: Tensor) -> tuple[Tensor, Tensor]:
     """What clusters best spend [..., V] [W], and its score [...]; see `_score`.
 
     One cluster after the other is tried with more and with less, first by all of P/V, then by halves of it; none
     goes below what its QoS takes.
     """
-    radio, clusters = problem.radio, problem.clusters
-    num_clusters = len(clusters)
-    full = radio.tx_power_w / num_clusters
-    if radio.scheme == "oma":
-        return channel.new_full((*channel.shape[:-2], num_clusters), full), _score(*_merit(problem, channel))
+    radio, clusters, full = problem.radio, problem.clusters, problem.full_budgets
+    budgets = full.expand(*channel.shape[:-2], 1, -1)
+    scores = _score(*_merit(problem, channel, full))[..., None]
+    if radio.scheme == "oma" or len(clusters) == 1:
+        return budgets[..., 0, :], scores[..., 0]
     # 1/e is affine in what the clusters spend; found are its constant and its slopes.
-    one = torch.eye(num_clusters, dtype=torch.float64)
-    probes = full * torch.cat([torch.zeros_like(one[:1]), one])
-    inverse = 1 / effective_gains(channel[..., None, :, :], probes, clusters, radio.noise_w)
-    constant, slope = inverse[..., :1, :], (inverse[..., 1:, :] - inverse[..., :1, :]) / full
-    moves = torch.cat([torch.zeros_like(one[:1]), one, -one])
-    budgets = torch.full((*channel.shape[:-2], 1, num_clusters), full, dtype=torch.float64)
-    for step in [full] * (num_clusters - 1) + [full / 2**i for i in range(halvings + 1)]:
-        trial = budgets + step * moves
-        needed = _needed(problem, _weakest_first(problem, constant + trial.clamp(0, full) @ slope))
-        trial = torch.minimum(torch.maximum(trial, needed * (1 + 1e-12)), needed.new_tensor(full))
+    moves = torch.cat([torch.zeros_like(full)[None], torch.diag(full), -torch.diag(full)])
+    inverse = 1 / effective_gains(channel[..., None, :, :], moves[: len(full) + 1], clusters, radio.noise_w)
+    constant, slope = inverse[..., :1, :], (inverse[..., 1:, :] - inverse[..., :1, :]) / full[:, None]
+    for step in [1.0] * len(full) + [0.5**i for i in range(1, _HALVINGS + 1)]:
+        trial = torch.clamp(budgets + step * moves, min=torch.zeros_like(full), max=full)
+        needed = _needed(problem, _weakest_first(problem, constant + trial @ slope))
+        trial = torch.minimum(torch.maximum(trial, needed * (1 + 1e-12)), full)
         scores = _score(*_cluster_merit(problem, constant + trial @ slope, trial))
         best = scores.argmax(-1, keepdim=True)
-        budgets = torch.take_along_dim(trial, best[..., None], -2)
-    return budgets[..., 0, :], torch.take_along_dim(scores, best, -1)[..., 0]
+        budgets, scores = torch.take_along_dim(trial, best[..., None], -2), torch.take_along_dim(scores, best, -1)
+    return budgets[..., 0, :], scores[..., 0]
 
 
 def _qos_first(problem: _Problem, channel: Tensor, budgets: Tensor) -> Tensor:
@@ -286,11 +345,6 @@ def _needed(problem: _Problem, ordered: Tensor) -> Tensor:
     """What QoS takes of each cluster [..., V] [W], for 1/e from `_weakest_first`."""
     growth = (1 + problem.least_sinr) ** torch.arange(ordered.shape[-1], dtype=torch.float64)
     return problem.least_sinr * (growth * ordered).sum(-1)
-
-
-def _effective(channels: Channels, phases: Tensor) -> Tensor:
-    """Effective channels [..., K, M] for phases [..., N]."""
-    return effective_channel(channels, ris_response(phases, torch.ones(())))
 
 
 def _repeated(channels: Channels, count: int) -> Channels:

@@ -5,12 +5,13 @@ from numpy.typing import NDArray
 
 from mjris.radiomap import place_values
 from mjris.simulator import Simulator
-from mjris.world.office import PERSON_RADIUS_M
 
 FloatArray = NDArray[np.floating]
 
 _CHUNK = 4096
 """Places of all cells that are predicted together, which bounds the memory."""
+_REFINING_STEPS_M = (0.25, 0.125)
+_AROUND = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)])
 
 
 def node_values(simulator: Simulator) -> FloatArray:
@@ -22,43 +23,51 @@ def node_values(simulator: Simulator) -> FloatArray:
 
 
 def best_places(simulator: Simulator) -> tuple[FloatArray, FloatArray]:
-    """Best-known places over the floor that the rovers can reach [E, 2] [m], and their values [E] [bit/s]."""
+    """Best-known places [E, 2] [m] over the floor that the rovers can reach, and their predicted values [E] [bit/s].
+
+    The best node of `World.paths`, then the best of finer and finer steps around it.
+    """
+    world = simulator.world
+    cells = np.arange(simulator.num_cells)
     values = node_values(simulator)
-    best = values.argmax(1)
-    return simulator.world.paths.nodes[best], values.max(1)
+    best, value = world.paths.nodes[values.argmax(1)], values.max(1)
+    for step_m in _REFINING_STEPS_M:
+        places = best[:, None] + step_m * _AROUND
+        free = world.free_share(np.broadcast_to(best[:, None], places.shape), places, world.paths.keep_m) == np.inf
+        # The place itself stays a candidate, even where rounding would put it a hair too close to something.
+        values = np.where(free | ~_AROUND.any(-1), place_values(simulator, places), -np.inf)
+        best, value = places[cells, values.argmax(1)], values.max(1)
+    return best, value
 
 
 class Planner:
-    """Drives every rover to where the predicted sum over the next slots is largest, the way there included."""
+    """Drives every rover to where the predicted sum over the next slots is largest, the way there included.
 
-    def __init__(self, replan_slots: int = 5, horizon_slots: int = 30):
+    Users are taken to stay where they are: the horizon is short because they do not.
+    """
+
+    def __init__(self, replan_slots: int = 1, horizon_slots: int = 12):
         self._replan_slots = replan_slots
         self._horizon_slots = horizon_slots
         self._slot = 0
         self._goal: FloatArray
 
     def displacement(self, simulator: Simulator) -> FloatArray:
-        """What to command in the next slot [E, 2] [m]."""
+        """What to command in the next slot of an episode [E, 2] [m]."""
         if self._slot % self._replan_slots == 0:
             self._goal = self._best_goal(simulator)
         self._slot += 1
-        world = simulator.world
-        here = world.fleet.xy
-        target = world.paths.toward(here, self._goal)
-        gap = world.paths.keep_m + PERSON_RADIUS_M
-        move = world.paths.around(here, target, world.crowd.xy, gap) - here
-        reach = world.config.max_speed_mps * world.config.slot_s
-        return move * np.minimum(1, reach / np.maximum(np.linalg.norm(move, axis=-1, keepdims=True), 1e-12))
+        return simulator.world.way_toward(self._goal)
 
     def _best_goal(self, simulator: Simulator) -> FloatArray:
+        """The node, or the present place, with the largest predicted sum over the horizon, [E, 2] [m]."""
         world, paths = simulator.world, simulator.world.paths
         here = world.fleet.xy
-        reach = world.config.max_speed_mps * world.config.slot_s
-        values = node_values(simulator)
-        present = place_values(simulator, here[:, None])
-        slots = np.minimum(paths.distance_to_nodes(here) / reach, self._horizon_slots)
-        # On the way the value is taken to change evenly.
-        total = slots * (present + values) / 2 + (self._horizon_slots - slots) * values
-        best = total.argmax(1)
-        stay = self._horizon_slots * present[:, 0] >= total.max(1)
-        return np.where(stay[:, None], here, paths.nodes[best])
+        horizon_m = self._horizon_slots * world.config.max_speed_mps * world.config.slot_s
+        present, values = place_values(simulator, here[:, None])[:, 0], node_values(simulator)
+        way_m, on_the_way = paths.along(here, present, values)
+        within = way_m < horizon_m
+        staying = np.where(within, (horizon_m - way_m) * np.where(within, values, 0), -np.inf)
+        total = on_the_way + staying
+        stay = horizon_m * present >= total.max(1)
+        return np.where(stay[:, None], here, paths.nodes[total.argmax(1)])

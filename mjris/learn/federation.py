@@ -3,15 +3,19 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger, configure
 
 from mjris.config import Config
 from mjris.learn.agent import build_agent
+
+P = TypeVar("P")
+R = TypeVar("R")
 
 State = Mapping[str, torch.Tensor]
 """Parameters and batch-norm statistics of actor, critic and both targets, by name."""
@@ -115,21 +119,61 @@ class EpisodeRecorder(BaseCallback):
         return True
 
     def _finish_episode(self) -> None:
-        metrics = EpisodeMetrics(
-            round=self._round,
-            episode=self._first_episode + len(self.episodes),
-            cell=self._cell,
-            reward=float(np.mean(self._rewards)),
-            sum_rate_mbps=float(np.mean([info["sum_rate_bps"] for info in self._infos])) / 1e6,
-            qos_share=float(np.mean([np.all(info["qos_met"]) for info in self._infos])),
-            collisions=int(sum(info["collisions"] for info in self._infos)),
-            clearance_m=float(min(info["clearance_m"] for info in self._infos)),
-        )
+        episode = self._first_episode + len(self.episodes)
+        metrics = episode_metrics(self._round, episode, self._cell, self._rewards, self._infos)
         self.episodes.append(metrics)
-        for name in ("reward", "sum_rate_mbps", "qos_share", "collisions", "clearance_m"):
-            self.logger.record(f"episode/{name}", getattr(metrics, name))
+        record_episode(self.logger, metrics)
         self._rewards.clear()
         self._infos.clear()
+
+
+def episode_metrics(
+    round_: int, episode: int, cell: int, rewards: Sequence[float], infos: Sequence[Mapping[str, Any]]
+) -> EpisodeMetrics:
+    """The metrics of an episode from the reward and the info of each of its slots."""
+    return EpisodeMetrics(
+        round=round_,
+        episode=episode,
+        cell=cell,
+        reward=float(np.mean(rewards)),
+        sum_rate_mbps=float(np.mean([info["sum_rate_bps"] for info in infos])) / 1e6,
+        qos_share=float(np.mean([np.all(info["qos_met"]) for info in infos])),
+        collisions=int(sum(info["collisions"] for info in infos)),
+        clearance_m=float(min(info["clearance_m"] for info in infos)),
+    )
+
+
+def record_episode(logger: Logger, metrics: EpisodeMetrics) -> None:
+    """Hand the metrics of an episode to a logger."""
+    for name in ("reward", "sum_rate_mbps", "qos_share", "collisions", "clearance_m"):
+        logger.record(f"episode/{name}", getattr(metrics, name))
+
+
+class InOrder(Generic[P, R]):
+    """Rounds of training, `train(round, params)`, one after the other; `name` is who trains.
+
+    A call for the round just finished gives its result again and trains nothing. Raises `ValueError` for any other
+    round that is not the next.
+    """
+
+    def __init__(self, train: Callable[[int, P], R], name: str):
+        self._train = train
+        self._name = name
+        self._started = 0
+        self._finished = 0
+        self._result: R
+
+    def __call__(self, round_: int, params: P) -> R:
+        """The result of round `round_`, counted from 1."""
+        if round_ == self._finished and round_ > 0:
+            return self._result
+        if round_ != self._started + 1:
+            raise ValueError(f"{self._name}: round {round_} is out of order after round {self._started}")
+        # A round that fails half-way stays started, so that it cannot be taken up again from a half-trained agent.
+        self._started = round_
+        self._result = self._train(round_, params)
+        self._finished = round_
+        return self._result
 
 
 class Cell:
@@ -141,12 +185,10 @@ class Cell:
     def __init__(self, config: Config, index: int, make_env: EnvFactory, log_dir: Path | None = None):
         self._config = config
         self._index = index
-        self._agent = build_agent(config, make_env(config, index), np.random.default_rng(self._seed(_AGENT, index)))
+        self._agent = build_agent(config, make_env(config, index), agent_generator(config, index))
         if log_dir is not None:
             self._agent.set_logger(configure(str(log_dir), ["tensorboard"]))
-        self._started = 0
-        self._finished = 0
-        self._result: tuple[State, list[EpisodeMetrics]] = ({}, [])
+        self._rounds = InOrder(self._train, f"cell {index}")
 
     def train(self, round_: int, params: State | None) -> tuple[State, list[EpisodeMetrics]]:
         """Train round `round_` (from 1) starting from `params`, or from where the agent is if None.
@@ -154,25 +196,15 @@ class Cell:
         Returns the local parameters and the metrics of the round's episodes. The round just finished may be asked
         for again and is not trained again. Raises `ValueError` for any other round that is not the next.
         """
-        if round_ == self._finished:
-            return self._result
-        if round_ != self._started + 1:
-            raise ValueError(f"cell {self._index}: round {round_} is out of order after round {self._started}")
-        # A round that fails half-way stays started, so that it cannot be taken up again from a half-trained agent.
-        self._started = round_
-        self._result = self._train(round_, params)
-        self._finished = round_
-        return self._result
+        return self._rounds(round_, params)
 
     def _train(self, round_: int, params: State | None) -> tuple[State, list[EpisodeMetrics]]:
-        federation = self._config.federation
-        first = (round_ - 1) * federation.round_episodes
-        episodes = min(federation.round_episodes, federation.episodes - first)
+        episodes = episodes_of(self._config, round_)
         self._seed_round(round_)
         exchange = FederatedAveraging(params)
-        recorder = EpisodeRecorder(round_, first + 1, self._index)
+        recorder = EpisodeRecorder(round_, episodes.start, self._index)
         self._agent.learn(
-            episodes * self._config.task.slots,
+            len(episodes) * self._config.task.slots,
             callback=[exchange, recorder],
             log_interval=1,
             reset_num_timesteps=False,
@@ -183,13 +215,9 @@ class Cell:
         """Seed all that the round draws from, so that it does not depend on who else runs in this process."""
         env = self._agent.get_env()
         assert env is not None
-        self._agent.set_random_seed(_word(self._seed(_LEARN, self._index, round_)))
-        # The same for every cell: what cells share (fading) must stay shared, and each adds its own number to it.
-        env.seed(_word(self._seed(_ENV, round_)))
+        self._agent.set_random_seed(learning_seed(self._config, self._index, round_))
+        env.seed(environment_seed(self._config, round_))
         self._agent.set_env(env)  # makes `learn` reset the environment, which is when it takes the seed
-
-    def _seed(self, *key: int) -> np.random.SeedSequence:
-        return np.random.SeedSequence(self._config.seed, spawn_key=key)
 
     def save(self, path: Path, params: State | None) -> None:
         """Write the agent without its replay memory as an SB3 zip, after loading `params` unless None."""
@@ -210,6 +238,31 @@ def num_rounds(config: Config) -> int:
     return -(-config.federation.episodes // config.federation.round_episodes)
 
 
-def _word(seed: np.random.SeedSequence) -> int:
+def episodes_of(config: Config, round_: int) -> range:
+    """The episodes of a round, both counted from 1."""
+    federation = config.federation
+    first = (round_ - 1) * federation.round_episodes + 1
+    return range(first, min(first + federation.round_episodes, federation.episodes + 1))
+
+
+def agent_generator(config: Config, cell: int) -> np.random.Generator:
+    """What a cell's agent draws its first weights and its exploration noise from."""
+    return np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(_AGENT, cell)))
+
+
+def learning_seed(config: Config, cell: int, round_: int) -> int:
+    """Seed of a cell's minibatches and warm-up actions in a round."""
+    return _word(config, _LEARN, cell, round_)
+
+
+def environment_seed(config: Config, round_: int) -> int:
+    """Seed of the environments in a round.
+
+    The same for every cell: what cells share (fading) must stay shared, and each adds its own number to it.
+    """
+    return _word(config, _ENV, round_)
+
+
+def _word(config: Config, *key: int) -> int:
     """A 32-bit seed for generators that take no sequence."""
-    return int(seed.generate_state(1)[0])
+    return int(np.random.SeedSequence(config.seed, spawn_key=key).generate_state(1)[0])

@@ -46,6 +46,13 @@ class Footprints:
 
         Grown rectangles keep square corners, which errs on the safe side.
         """
+        return self.free_share(start, end, inflate) == np.inf
+
+    def free_share(self, start: FloatArray, end: FloatArray, inflate: float) -> FloatArray:
+        """The share of segments in [0, 1) before they enter a grown rectangle, inf where they never do, [E, P].
+
+        Arguments as in `free_run`.
+        """
         # Few rectangles are near a segment, and only for those the slabs are worked out.
         way = end - start
         reach = np.hypot(way[..., 0], way[..., 1])[..., None] + self._corner + math.sqrt(2) * inflate
@@ -67,9 +74,9 @@ class Footprints:
             slab = np.abs((half + inflate) * inverse)
             enter, leave = np.maximum(enter, middle - slab), np.minimum(leave, middle + slab)
         met = enter < leave
-        free = np.ones(way.shape[:-1], np.bool_)
-        free[cell[met], segment[met]] = False
-        return free
+        share = np.full(way.shape[:-1], np.inf)
+        np.minimum.at(share, (cell[met], segment[met]), enter[met])
+        return share
 
     @cached_property
     def _corner(self) -> FloatArray:

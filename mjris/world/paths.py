@@ -54,6 +54,9 @@ class Paths:
         """Places of the grid that can be reached from the start, in one office at least, [n, 2] [m]."""
         self.reachable: BoolArray = reached[:, kept]
         """Which of them can be, [E or 1, n]."""
+        spacing = np.nanmin(np.where(length > 0, length, np.nan))
+        self.coarse: IntArray = np.flatnonzero((np.rint((self.nodes - start) / spacing) % 2 == 0).all(-1))
+        """Indices of every other node each way."""
         # Neighbours that are dropped have no edges, so that it does not matter what stands for them.
         self._neighbours = np.maximum(np.cumsum(kept) - 1, 0)[neighbours[kept]]
         self._edge_m = np.where(self.reachable[..., None], length[:, kept], np.inf).astype(np.float32)
@@ -88,6 +91,31 @@ class Paths:
         first, first_m = self._first_nodes(start)
         office = self._office(np.arange(len(start)))[:, None]
         return (first_m[..., None] + self.distances[office, first]).min(1)
+
+    def along(self, start: FloatArray, present: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lengths [E, n] [m] of the shortest ways to all nodes, and the integrals of a value along them [E, n].
+
+        The value is `present` [E] at `start` [E, 2] [m] and `values` [E, n] at the nodes, and changes evenly between
+        them. Lengths are inf and integrals zero for nodes that cannot be reached.
+        """
+        length = self.distance_to_nodes(start)
+        row = np.arange(len(start))[:, None]
+        office = self._office(np.arange(len(start)))
+        before = length[:, self._neighbours] + self._edge_m[office]
+        choice = before.argmin(-1)[..., None]
+        # Nodes whose way comes straight from the start are the roots of a forest.
+        rooted = (np.take_along_axis(before, choice, -1)[..., 0] > length + 1e-4) | np.isinf(length)
+        node = np.arange(length.shape[1])
+        parent = np.where(rooted, node, self._neighbours[node, choice[..., 0]])
+        reached = np.where(np.isinf(length), 0, length)
+        values = np.where(np.isinf(length), 0, values)
+        first = reached * (present[:, None] + values) / 2
+        integral = (reached - reached[row, parent]) * (values + values[row, parent]) / 2
+        # Every round doubles the part of the way that is summed up.
+        while (parent != parent[row, parent]).any():
+            integral += integral[row, parent]
+            parent = parent[row, parent]
+        return length, integral + first[row, parent]
 
     def around(self, start: FloatArray, target: FloatArray, people: FloatArray, gap_m: float) -> FloatArray:
         """Places [E, 2] [m] to drive straight at from `start` to `target` [E, 2] [m], around `people` [E, K, 2] [m].

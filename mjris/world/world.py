@@ -26,6 +26,7 @@ from mjris.world.paths import Paths
 from mjris.world.people import Crowd
 from mjris.world.rover import make_fleet
 from mjris.world.sight import Sight
+from mjris.world.sightmap import SightMap
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
@@ -122,9 +123,21 @@ class World:
         people = np.hypot(away[..., 0], away[..., 1]) - PERSON_RADIUS_M
         return solid - self.hull_radius_m, people - self.hull_radius_m
 
-    def straight_way_free(self, start: FloatArray, end: FloatArray, keep_m: float) -> NDArray[np.bool_]:
-        """Whether segments [E, P, 2] [m] stay `keep_m` [m] from all that the hull can bump into but people, [E, P]."""
-        return self._hull_solid.free_run(start, end, keep_m)
+    def free_share(self, start: FloatArray, end: FloatArray, keep_m: float) -> FloatArray:
+        """Share of segments [E, P, 2] [m] up to `keep_m` [m] from what the hull can bump into but people, [E, P].
+
+        It is inf where nothing is in the way.
+        """
+        return self._hull_solid.free_share(start, end, keep_m)
+
+    def way_toward(self, goal: FloatArray) -> FloatArray:
+        """The next slot's displacement [E, 2] [m] on the shortest ways to `goal` [E, 2] [m], and around people."""
+        here = self.fleet.xy
+        move = self.paths.around(
+            here, self.paths.toward(here, goal), self.crowd.xy, self.paths.keep_m + PERSON_RADIUS_M
+        ) - here
+        reach = self.config.max_speed_mps * self.config.slot_s
+        return move * np.minimum(1, reach / np.maximum(np.linalg.norm(move, axis=-1, keepdims=True), 1e-12))
 
     @cached_property
     def paths(self) -> Paths:
@@ -132,6 +145,14 @@ class World:
         layout = self.office(0).layout
         keep_m = self.hull_radius_m + self.config.bumper_m + _WAY_MARGIN_M
         return Paths(self._hull_solid, layout.room.size[:2], layout.start, keep_m)
+
+    @cached_property
+    def sight_map(self) -> SightMap:
+        """Furniture between the users' and the panel's height, and to the AP; people do not count."""
+        sight = Sight(self.office(0), self.batch, body_blockage=False, own_furniture=len(self.offices) > 1)
+        room = np.array([office.layout.room.size[:2] for office in self.offices])
+        ap = np.stack([office.ap_position for office in self.offices])
+        return SightMap(sight, room, ap, self.config.user_height_m, self.config.panel_height_m)
 
     def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
         """Random places [K, 2] [m] with clearance from everything."""

@@ -1,0 +1,108 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjris.config import Config, preset
+from mjris.eval.planner import Planner, best_places, node_values
+from mjris.radiomap import place_values
+from mjris.simulator import Simulator
+
+CELLS = 3
+
+
+def simulator(cells: int = CELLS, **world) -> Simulator:
+    config = preset("office")
+    return Simulator(replace(config, world=replace(config.world, layout="clinic", **world)), cells)
+
+
+@pytest.fixture(scope="module")
+def made() -> Simulator:
+    return simulator()
+
+
+def test_node_values_are_those_of_single_places(made):
+    values, nodes = node_values(made), made.world.paths.nodes
+    assert values.shape == (CELLS, len(nodes))
+    for node in (0, 200, len(nodes) - 1):
+        single = place_values(made, np.tile(nodes[node], (CELLS, 1, 1)))[:, 0]
+        np.testing.assert_allclose(values[:, node], single, rtol=1e-12)
+
+
+def test_best_places_are_the_best_and_can_be_reached(made):
+    places, values = best_places(made)
+    assert (values >= node_values(made).max(1)).all()
+    np.testing.assert_allclose(place_values(made, places[:, None])[:, 0], values)
+    np.testing.assert_allclose(made.world.paths._last_nodes(places)[0], places)
+    assert (made.world._hull_solid.distance(places[:, None])[:, 0] >= made.world.paths.keep_m).all()
+
+
+def test_unreachable_nodes_are_never_best():
+    jittered = simulator(layout_jitter_m=0.4)
+    values, reachable = node_values(jittered), jittered.world.paths.reachable
+    assert not reachable.all()
+    assert np.isneginf(values[~reachable]).all()
+    assert np.isfinite(values[reachable]).all()
+
+
+def test_horizon_decides_between_near_and_far():
+    """Against sums over single slots, for whole ways driven in a loop."""
+    made = simulator(1)
+    ways, reach = made.world.paths, 0.5
+    here, nodes = made.world.fleet.xy, ways.nodes
+    values = node_values(made)[0]
+    lengths = ways.distance_to_nodes(here)[0]
+    for horizon in (2, 8, 40):
+        goal = Planner(horizon_slots=horizon)._best_goal(made)[0]
+        totals = {}
+        for node in np.argsort(-values)[:60].tolist():
+            if lengths[node] >= horizon * reach:
+                continue
+            first = ways._shortest(*ways._first_nodes(here), np.array([[node]]), np.zeros((1, 1)))[1]
+            way = [here[0], *nodes[ways._walk(first, np.array([node]))[0]]]
+            rates = place_values(made, np.array(way)[None])[0]
+            total, left = 0.0, horizon * reach
+            for a, b, u, v in zip(way[:-1], way[1:], rates[:-1], rates[1:], strict=True):
+                total += math.dist(a, b) * (u + v) / 2
+                left -= math.dist(a, b)
+            totals[node] = total + left * rates[-1]
+        if not totals:
+            continue
+        best = max(totals, key=lambda node: totals[node])
+        chosen = int(np.linalg.norm(nodes - goal, axis=1).argmin())
+        if chosen in totals:
+            assert totals[chosen] >= 0.98 * totals[best]
+        assert np.linalg.norm(goal - here) <= horizon * reach + 1e-6
+
+
+def test_the_planner_gets_to_better_places_and_touches_nothing():
+    made = simulator()
+    config: Config = made.config
+    planner = Planner()
+    still = np.zeros((CELLS, config.world.num_users))
+    before = place_values(made, made.world.fleet.xy[:, None])[:, 0]
+    clearances = []
+    for _ in range(40):
+        move = planner.displacement(made)
+        assert (np.linalg.norm(move, axis=-1) <= config.world.max_speed_mps * config.world.slot_s + 1e-9).all()
+        motion = made.world.move(move, still, still)
+        assert (motion.collisions == 0).all()
+        clearances.append(motion.clearance_m)
+    after = place_values(made, made.world.fleet.xy[:, None])[:, 0]
+    assert (after >= before).all()
+    assert after.mean() > 1.1 * before.mean()
+    # People stand still, so that in the end nothing is better within the horizon than to stay.
+    assert (np.linalg.norm(planner.displacement(made), axis=-1) < 1e-6).all()
+    assert np.min(clearances) > 0
+
+
+def test_replanning_is_as_often_as_asked(monkeypatch):
+    made = simulator(1)
+    planner = Planner(replan_slots=4)
+    times = []
+    plan = Planner._best_goal
+    monkeypatch.setattr(Planner, "_best_goal", lambda self, sim: times.append(len(times)) or plan(self, sim))
+    for _ in range(9):
+        planner.displacement(made)
+    assert len(times) == 3

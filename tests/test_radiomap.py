@@ -1,0 +1,73 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjris.config import preset
+from mjris.radiomap import best_goals, link_gains, penalised, place_values
+from mjris.simulator import Simulator
+
+OFFICE = preset("office")
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return Simulator(OFFICE, num_cells=3)
+
+
+def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
+    rng = np.random.default_rng(0)
+    places = rng.uniform((0.5, 0.5), (14.5, 19.5), (3, 20, 2))
+    incident, reflected = link_gains(simulator, places)
+    world = simulator.world
+    for e in range(3):
+        ap, users = simulator.ap_position[e], world.receivers()[e]
+        for p, place in enumerate(places[e]):
+            panel = np.array([*place, OFFICE.world.panel_height_m])
+            units = [(user - panel)[:2] / np.linalg.norm((user - panel)[:2]) for user in users]
+            toward_users = np.mean(units, 0) / np.linalg.norm(np.mean(units, 0))
+            facing = toward_users + (ap - panel)[:2] / np.linalg.norm((ap - panel)[:2])
+            facing = np.array([*facing, 0]) / np.linalg.norm(facing)
+            for k, (end, found) in enumerate([*zip(users, reflected[e, p], strict=True), (ap, incident[e, p])]):
+                middle = (np.floor(place / 0.5) + 0.5) * 0.5
+                start = end if k == 4 else np.array([*(np.floor(end[:2] / 0.5) + 0.5) * 0.5, end[2]])
+                stop = np.array([*middle, panel[2]])
+                n = world.sight.blockers(start[None, None], stop[None, None], np.array([-1]))[0, 0]
+                d = max(1, np.linalg.norm(end - panel))
+                loss = 16.9 * math.log10(d) - 27.2 + 20 * math.log10(2000)
+                if n:
+                    loss = 20 * math.log10(2000) - 28 + 25.5 * math.log10(d) + 15 + 4 * (n - 1)
+                cosine = max(0, (end - panel) @ facing / np.linalg.norm(end - panel))
+                assert found == pytest.approx(10 ** (-loss / 10) * 2 * 1.57 * cosine**0.57, rel=1e-9)
+
+
+def test_a_place_behind_the_world_is_worth_what_the_direct_channel_is(simulator):
+    # So far away that the RIS adds nothing.
+    far = place_values(simulator, np.full((3, 1, 2), 1e7))
+    none = replace(OFFICE, radio=replace(OFFICE.radio, element_amplitude=0.0))
+    bare = place_values(Simulator(none, num_cells=3), np.full((3, 1, 2), 5.0))
+    np.testing.assert_allclose(far, bare, rtol=1e-6)
+
+
+def test_goals_promise_the_most_of_all_places_and_of_staying(simulator):
+    goal, promised = best_goals(simulator, horizon_slots=30)
+    paths, here = simulator.world.paths, simulator.world.fleet.xy
+    values = place_values(simulator, np.concatenate([here[:, None], np.tile(paths.nodes, (3, 1, 1))], 1))
+    sums = []
+    for e in range(3):
+        totals = [(30 * values[e, 0], here[e])]
+        for node in paths.coarse:
+            slots = min(30, paths.distance_to_nodes(here)[e, node] / 0.5)
+            value = values[e, 1 + node]
+            totals.append((slots * (values[e, 0] + value) / 2 + (30 - slots) * value, paths.nodes[node]))
+        best, place = max(totals, key=lambda total: total[0])
+        np.testing.assert_allclose(goal[e], place)
+        sums.append(best / 30)
+    np.testing.assert_allclose(promised, sums)
+    assert (promised >= values[:, 0]).all()
+
+
+def test_the_penalty_is_for_any_user_below_qos():
+    rates = np.array([[2e4, 3e4], [9e3, 5e4]])
+    np.testing.assert_allclose(penalised(rates, 1e4, 2.0), [5e4, 5.9e4 / 2])

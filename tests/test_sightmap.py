@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+
+from mjris.config import Config
+from mjris.config import World as WorldConfig
+from mjris.world.layout import load_layout
+from mjris.world.world import World
+
+
+def world(num_cells: int, **options) -> World:
+    config = Config(world=WorldConfig(drive="kinematic", **options))
+    generators = [np.random.default_rng(seed) for seed in range(num_cells)]
+    made = World(config, load_layout("office"), generators)
+    made.place(np.arange(num_cells), generators)
+    return made
+
+
+@pytest.mark.parametrize("options", [{}, {"layout_jitter_m": 0.3}, {"body_blockage": True}])
+def test_squares_are_seen_as_rays_see_their_middles(options):
+    made = world(3, **options)
+    rng = np.random.default_rng(1)
+    low, high = rng.integers(0, (30, 40), (2, 3, 50, 2)) * 0.5 + 0.25
+    anywhere = rng.uniform(-0.249, 0.249, (2, 3, 50, 2))  # in the same squares
+    between = made.sight_map.between(low + anywhere[0], high + anywhere[1])
+    from_ap = made.sight_map.from_ap(high + anywhere[1])
+    bare = world(3, **(options | {"body_blockage": False})).sight
+    no_body = np.full(50, -1)
+    start, end = np.insert(low, 2, made.config.user_height_m, -1), np.insert(high, 2, made.config.panel_height_m, -1)
+    for k in range(0, 50, 7):
+        expected = bare.blockers(np.broadcast_to(start[:, k, None], end.shape), end, no_body)
+        np.testing.assert_array_equal(between[:, :, k], expected)
+    ap = np.stack([made.office(e).ap_position for e in range(3)])
+    np.testing.assert_array_equal(from_ap, bare.blockers(np.broadcast_to(ap[:, None], end.shape), end, no_body))
+    assert {0, 1, 2} <= set(between.ravel().tolist())
+
+
+def test_cells_with_furniture_of_their_own_have_maps_of_their_own():
+    made = world(2, layout_jitter_m=0.4)
+    places = np.random.default_rng(2).uniform(0, (15, 20), (400, 2))
+    both = made.sight_map.between(np.tile(places[:100], (2, 1, 1)), np.tile(places, (2, 1, 1)))
+    assert (both[0] != both[1]).mean() > 0.005
+
+
+def test_places_outside_belong_to_the_nearest_square():
+    sight_map = world(1).sight_map
+    outside, inside = np.array([[[-3.0, 25.0]]]), np.array([[[0.1, 19.9]]])
+    low = np.array([[[7.0, 7.0]]])
+    np.testing.assert_array_equal(sight_map.between(low, outside), sight_map.between(low, inside))
