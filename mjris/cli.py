@@ -35,7 +35,9 @@ class Train:
         """Train."""
         from mjris.learn.progress import progress_bar
         from mjris.learn.run import train
+        from mjris.learn.workers import describe
 
+        print(describe(self.config))
         with progress_bar(self.config) as report:
             train(self.config, self.out, report=report)
         print(f"run folder: {self.out}")

@@ -216,8 +216,10 @@ class Federation:
     """F_G, episodes between two averages."""
     averaging: bool = True
     """Whether agents are averaged at all; without it they learn alone."""
+    backend: Literal["auto", "stacked", "processes"] = "auto"
+    """stacked: all cells learn in lockstep in this process; processes: cell by cell in workers; auto: the faster."""
     workers: Annotated[int, Field(ge=0)] = 0
-    """Worker processes; 0 is one a core, 1 is this process."""
+    """Worker processes of the processes backend; 0 is one a core, 1 is this process."""
 
 
 @_plain_errors

@@ -167,8 +167,8 @@ class Drivers:
     def __init__(self, world: World, solid: "Solid", rng: np.random.Generator):
         self._world = world
         self._rng = rng
+        self._solid = solid
         self._room_m = solid.room_m
-        self._bricks = solid.centre
         self._reach_m = world.config.max_speed_mps * world.config.slot_s
         self._angle = np.zeros(world.num_cells)
         self._waypoint = np.zeros((world.num_cells, 2))
@@ -178,12 +178,13 @@ class Drivers:
         """Give the rammers new targets and put every rover at a free place near its cell's target, facing anywhere."""
         world, rng, cells = self._world, self._rng, np.arange(self._world.num_cells)
         self._waypoint = rng.uniform(0, self._room_m)
-        brick = self._bricks[cells, rng.integers(self._bricks.shape[1], size=len(cells))]
+        bricks = self._solid.centre
+        brick = bricks[cells, rng.integers(bricks.shape[1], size=len(cells))]
         side = rng.integers(2, size=(len(cells), 2)) * self._room_m
         wall = np.where(np.eye(2, dtype=bool)[rng.integers(2, size=len(cells))], side, self._waypoint)
         self._victim = np.where(rng.random((len(cells), 1)) < 0.3, wall, brick + rng.normal(0, 0.2, brick.shape))
         places = rng.uniform(0, self._room_m[:, None], (len(cells), _CANDIDATES, 2))
-        free = world.straight_way_free(places, places, world.hull_radius_m + world.config.bumper_m)
+        free = self._solid.distance(places) > world.hull_radius_m + world.config.bumper_m
         people = np.linalg.norm(places[:, :, None] - world.crowd.xy[:, None], axis=-1).min(-1)
         free &= people > world.hull_radius_m + PERSON_RADIUS_M + world.config.clearance_m
         distance = np.where(free, np.linalg.norm(places - self._victim[:, None], axis=-1), np.inf)

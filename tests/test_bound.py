@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from mjris.config import Radio
@@ -59,7 +59,7 @@ def test_nothing_random_exceeds_the_bound(seed, scheme, num_clusters, power_w, a
 
 
 @given(SEEDS, SCHEMES, st.sampled_from([1, 2, 4]), st.floats(0.01, 1000))
-@settings(max_examples=10)
+@settings(max_examples=10, phases=[Phase.generate])
 def test_the_best_known_does_not_exceed_the_bound(seed, scheme, num_clusters, power_w):
     rng = np.random.default_rng(seed)
     clusters = rng.permutation(4).reshape(num_clusters, -1)

@@ -6,7 +6,7 @@ import numpy as np
 import pymanopt
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from pymanopt.manifolds import ComplexCircle
 from pymanopt.optimizers import ConjugateGradient
@@ -49,7 +49,7 @@ def score(rates, qos_bps):
 
 
 @given(SEEDS, st.sampled_from(["noma", "oma"]), st.sampled_from([1.0, 0.6]))
-@settings(max_examples=10)
+@settings(max_examples=10, phases=[Phase.generate])
 def test_one_user_and_antenna_reach_the_closed_form(seed, scheme, amplitude):
     channels = random_channels(np.random.default_rng(seed), users=1, antennas=1)
     radio = unit_radio(scheme=scheme, num_clusters=1, element_amplitude=amplitude)
@@ -123,7 +123,7 @@ def test_more_effort_and_closed_forms_hardly_gain(scheme):
 
 
 @given(SEEDS, st.sampled_from(["noma", "oma"]), st.sampled_from([1, 2, 4]), st.floats(0, 2e6))
-@settings(max_examples=15)
+@settings(max_examples=15, phases=[Phase.generate])
 def test_limits_are_kept(seed, scheme, num_clusters, qos_bps):
     rng = np.random.default_rng(seed)
     clusters = rng.permutation(4).reshape(num_clusters, -1)

@@ -30,8 +30,8 @@ def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
             facing = toward_users + (ap - panel)[:2] / np.linalg.norm((ap - panel)[:2])
             facing = np.array([*facing, 0]) / np.linalg.norm(facing)
             for k, (end, found) in enumerate([*zip(users, reflected[e, p], strict=True), (ap, incident[e, p])]):
-                middle = (np.floor(place / 0.5) + 0.5) * 0.5
-                start = end if k == 4 else np.array([*(np.floor(end[:2] / 0.5) + 0.5) * 0.5, end[2]])
+                middle = np.rint(place / 0.5) * 0.5
+                start = end if k == 4 else np.array([*np.rint(end[:2] / 0.5) * 0.5, end[2]])
                 stop = np.array([*middle, panel[2]])
                 n = world.sight.blockers(start[None, None], stop[None, None], np.array([-1]))[0, 0]
                 d = max(1, np.linalg.norm(end - panel))

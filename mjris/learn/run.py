@@ -1,9 +1,10 @@
 """A training run: rounds of local training and averaging, written to a run folder, and loading it again."""
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -13,7 +14,8 @@ from stable_baselines3 import DDPG
 from mjris.config import Config, ConfigError, load
 from mjris.env import OfficeEnv
 from mjris.learn.agent import build_agent
-from mjris.learn.federation import EnvFactory, EpisodeMetrics, average, num_rounds
+from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
+from mjris.learn.stacked import Results, StackedRuns
 from mjris.learn.workers import open_cells
 
 Report = Callable[[list[EpisodeMetrics]], None]
@@ -34,24 +36,63 @@ def train(config: Config, out: Path, *, report: Report = _silent, make_env: EnvF
     _check_new(out)
     # What is wrong with the layout or the task shows here, before anything is written.
     make_env(config, 0).close()
+    _begin_folder(config, out)
+    with closing(open_cells(config, make_env, out / "tensorboard")) as cells:
+        merged = None
+        for round_ in range(1, num_rounds(config) + 1):
+            results = cells.train(round_, merged)
+            merged = _average(config, results)
+            report(_write_round(out, round_, results, partial(cells.save, params=merged)))
+
+
+def train_many(
+    configs: Sequence[Config], outs: Sequence[Path], *, report: Report = _silent, make_env: EnvFactory = OfficeEnv
+) -> None:
+    """`train` several runs as one stack, whatever their `federation.backend`; agents are averaged within their run.
+
+    `report` gets the episodes of all runs. Raises `ConfigError` also where the configs differ in what a stack must
+    have in common, see `StackedRuns`.
+    """
+    if len(set(outs)) < len(configs):
+        raise ConfigError(f"out: {len(configs)} runs need a folder each")
+    for out in outs:
+        _check_new(out)
+    with closing(StackedRuns(configs, make_env, [out / "tensorboard" for out in outs])) as runs:
+        for config, out in zip(configs, outs, strict=True):
+            _begin_folder(config, out)
+        merged: list[State | None] = [None] * len(configs)
+        for round_ in range(1, num_rounds(configs[0]) + 1):
+            everything = runs.train(round_, merged)
+            merged = [_average(config, results) for config, results in zip(configs, everything, strict=True)]
+            metrics = []
+            for run, (out, results) in enumerate(zip(outs, everything, strict=True)):
+                metrics += _write_round(out, round_, results, partial(runs.save, run, params=merged[run]))
+            report(metrics)
+
+
+def _begin_folder(config: Config, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     (out / "config.json").write_text(config.to_json())
     _write_header(out / "metrics.csv")
-    averaging = config.federation.averaging and config.federation.num_cells > 1
-    merged = None
-    with closing(open_cells(config, make_env, out / "tensorboard")) as cells:
-        for round_ in range(1, num_rounds(config) + 1):
-            results = cells.train(round_, merged)
-            if averaging:
-                merged = average([state for state, _ in results])
-            metrics = sorted((row for _, rows in results for row in rows), key=lambda row: (row.episode, row.cell))
-            _append(out / "metrics.csv", metrics)
-            # The folder appears under its name only when it is complete.
-            unfinished = out / "checkpoints" / "unfinished"
-            unfinished.mkdir(parents=True)
-            cells.save(unfinished, merged)
-            unfinished.rename(unfinished.with_name(f"round_{round_:04d}"))
-            report(metrics)
+
+
+def _average(config: Config, results: Results) -> State | None:
+    """The averaged parameters of a run's cells, None where there is no averaging."""
+    if not config.federation.averaging or len(results) == 1:
+        return None
+    return average([state for state, _ in results])
+
+
+def _write_round(out: Path, round_: int, results: Results, save: Callable[[Path], None]) -> list[EpisodeMetrics]:
+    """Write a round's metrics and checkpoints: its episodes, in order."""
+    metrics = sorted((row for _, rows in results for row in rows), key=lambda row: (row.episode, row.cell))
+    _append(out / "metrics.csv", metrics)
+    # The folder appears under its name only when it is complete.
+    unfinished = out / "checkpoints" / "unfinished"
+    unfinished.mkdir(parents=True)
+    save(unfinished)
+    unfinished.rename(unfinished.with_name(f"round_{round_:04d}"))
+    return metrics
 
 
 def load_policy(run_dir: Path, cell: int = 0, *, make_env: EnvFactory = OfficeEnv) -> DDPG:

@@ -1,21 +1,30 @@
-"""Cells side by side: all in this process, or spread over worker processes. Both give the same numbers."""
+"""Cells side by side: stacked or one by one in this process, or spread over worker processes.
+
+The last two give the same numbers, the stack gives them but for rounding.
+"""
 
 import multiprocessing
 import os
 from collections.abc import Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 import torch
 
 from mjris.config import Config
+from mjris.env import OfficeEnv
 from mjris.learn.federation import Cell, EnvFactory, EpisodeMetrics, State
+from mjris.learn.stacked import StackedCells
 
 T = TypeVar("T")
 Arrays = Mapping[str, np.ndarray]
 """A `State` on its way between processes; torch would send tensors through shared file descriptors instead."""
+
+
+_STACK_GAIN = 3
+"""Worker processes that a stack outruns, as measured on the office preset with one thread."""
 
 
 class Cells(Protocol):
@@ -34,16 +43,41 @@ class Cells(Protocol):
         ...
 
 
+def backend(config: Config, make_env: EnvFactory = OfficeEnv) -> Literal["stacked", "processes"]:
+    """How the cells of `config` will learn: as asked for, or else the faster way on this machine.
+
+    Only offices are stepped together; other environments gain little from a stack.
+    """
+    if config.federation.backend != "auto":
+        return config.federation.backend
+    return "stacked" if make_env is OfficeEnv and num_workers(config) <= _STACK_GAIN else "processes"
+
+
+def describe(config: Config) -> str:
+    """How the cells of a run learn, in a few words."""
+    cells, workers = config.federation.num_cells, num_workers(config)
+    if backend(config) == "stacked":
+        return f"{cells} cells learn as one stack in this process"
+    if workers == 1:
+        return f"{cells} cells learn one after the other in this process"
+    return f"{cells} cells learn in {workers} worker processes"
+
+
+def num_workers(config: Config) -> int:
+    """Worker processes of the processes backend."""
+    return min(config.federation.workers or os.cpu_count() or 1, config.federation.num_cells)
+
+
 def open_cells(config: Config, make_env: EnvFactory, log_dir: Path | None = None) -> Cells:
-    """The cells of `config`, in this process or in workers as `federation.workers` says.
+    """The cells of `config`, stacked in this process, or cell by cell in it or in workers, as `federation` says.
 
     `make_env` must be importable by name where there are workers. With `log_dir`, cell u logs to cell_u in it.
     """
-    num_cells = config.federation.num_cells
-    workers = min(config.federation.workers or os.cpu_count() or 1, num_cells)
-    if workers == 1:
-        return LocalCells(config, range(num_cells), make_env, log_dir)
-    return WorkerCells(config, workers, make_env, log_dir)
+    if backend(config, make_env) == "stacked":
+        return StackedCells(config, make_env, log_dir)
+    if num_workers(config) == 1:
+        return LocalCells(config, range(config.federation.num_cells), make_env, log_dir)
+    return WorkerCells(config, num_workers(config), make_env, log_dir)
 
 
 class LocalCells:

@@ -15,16 +15,22 @@ _UNKNOWN = -1
 class SightMap:
     """Obstacles between places at two heights and to an access point, by the squares that the places lie in.
 
+    Squares have their middles half a metre apart, one of them on the rover's start, as the nodes of `Paths` do.
+
     For one office or one a cell, as in `Footprints`. Memory: n² bytes an office with n squares.
     """
 
-    def __init__(self, sight: Sight, room_m: FloatArray, ap: FloatArray, low_m: float, high_m: float):
-        """`room_m` [E or 1, 2] and `ap` [E or 1, 3] [m]; links lead from `low_m` [m] up to `high_m`, or to the AP."""
+    def __init__(
+        self, sight: Sight, room_m: FloatArray, start: FloatArray, ap: FloatArray, low_m: float, high_m: float
+    ):
+        """`room_m` and `start` [2], `ap` [E or 1, 3] [m]; links lead from `low_m` [m] up to `high_m`, or to the AP."""
         self._sight = sight
-        self._offices = len(room_m)
-        self._shape = np.ceil(room_m.max(0) / _SQUARE_M).astype(int)
+        self._offices = len(ap)
+        self._origin = start - np.rint(start / _SQUARE_M) * _SQUARE_M
+        self._shape = np.rint((room_m - self._origin) / _SQUARE_M).astype(int) + 1
         index = np.stack(np.meshgrid(*map(np.arange, self._shape), indexing="ij"), -1).reshape(-1, 2)
-        middles = (index + 0.5) * _SQUARE_M
+        # Squares at the walls have their middles pulled inside.
+        middles = np.clip(self._origin + index * _SQUARE_M, 0.01, room_m - 0.01)
         self._low, self._high = (np.insert(middles, 2, height, 1) for height in (low_m, high_m))
         self._between = np.full((self._offices, len(middles), len(middles)), _UNKNOWN, np.int8)
         """By office, lower square and upper square."""
@@ -59,5 +65,5 @@ class SightMap:
 
     def _square(self, places: FloatArray) -> IntArray:
         """The squares that places [..., 2] [m] lie in [...], the nearest ones for places outside."""
-        index = np.clip((places // _SQUARE_M).astype(np.int64), 0, self._shape - 1)
+        index = np.clip(np.rint((places - self._origin) / _SQUARE_M).astype(np.int64), 0, self._shape - 1)
         return index[..., 0] * self._shape[1] + index[..., 1]

@@ -150,9 +150,10 @@ class World:
     def sight_map(self) -> SightMap:
         """Furniture between the users' and the panel's height, and to the AP; people do not count."""
         sight = Sight(self.office(0), self.batch, body_blockage=False, own_furniture=len(self.offices) > 1)
-        room = np.array([office.layout.room.size[:2] for office in self.offices])
+        layout = self.office(0).layout
         ap = np.stack([office.ap_position for office in self.offices])
-        return SightMap(sight, room, ap, self.config.user_height_m, self.config.panel_height_m)
+        room, start = np.array(layout.room.size[:2]), np.array(layout.start)
+        return SightMap(sight, room, start, ap, self.config.user_height_m, self.config.panel_height_m)
 
     def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
         """Random places [K, 2] [m] with clearance from everything."""
