@@ -160,14 +160,17 @@ class Task:
     """mobile: the agent drives; fixed: the rover stays where it starts; none: no RIS at all."""
     phases: Literal["learned", "random"] = "learned"
     """learned: from the action; random: drawn anew every slot."""
-    motion: Literal["displacement", "waypoint"] = "displacement"
-    """displacement: where to in this slot; waypoint: a place to make for, on the shortest free way."""
-    phase_reference: Literal["zero", "aligned"] = "zero"
-    """The phases at action zero: none, or the closed-form alignment to the observed channel."""
+    motion: Literal["displacement", "waypoint", "goal"] = "displacement"
+    """displacement: where to in this slot; waypoint: a place from the rover, driven to on the shortest free way; goal:
+    the same, from the place that the radio map promises most for."""
+    phase_control: Literal["elements", "weights"] = "elements"
+    """elements: a phase for each; weights: one for each user in the closed-form alignment to the observed channel."""
     power_reference: Literal["even", "qos"] = "even"
     """The powers at action zero: an even split, or the closed-form split that meets QoS first."""
     residual: Annotated[float, Field(gt=0, lt=1)] = 0.1
-    """How far actions move phases (of π) and powers (relative) from an aligned or QoS reference."""
+    """How far actions move powers from the QoS reference, relative."""
+    effort_cost: NonNegative = 0.0
+    """What full corrections (of a goal, weights, or the QoS reference) cost in the reward [Mb/s]."""
     observation: Literal["csi", "map"] = "csi"
     """csi: the paper's state; map: geometry in the rover's frame and the gain map around it."""
     reward: Literal["sum_rate", "gain"] = "sum_rate"
@@ -197,6 +200,9 @@ class Agent:
     """τ, target update rate."""
     noise_scale: NonNegative = 0.4
     """ξ_0, scale of the Ornstein-Uhlenbeck action noise, which decays to zero over the run."""
+    caution: NonNegative = 0.0
+    """What the actor pays for full actions, relative to the size of its values: it stays near action zero, which may
+    stand for a closed form, unless the critic is sure."""
     buffer_size: Count = 100_000
     """Transitions in the replay memory."""
     warmup_slots: Annotated[int, Field(ge=0)] = 200
@@ -311,7 +317,9 @@ _PAPER = Config(radio=Radio(element_pattern="isotropic"))
 
 _OFFICE = Config(
     world=World(drive="kinematic"),
-    task=Task(motion="waypoint", phase_reference="aligned", power_reference="qos", observation="map", reward="gain"),
+    task=Task(
+        motion="goal", phase_control="weights", power_reference="qos", observation="map", reward="gain"
+    ),
     agent=Agent(network="mlp", batch_size=128, discount=0.98, target_rate=0.005),
     federation=Federation(episodes=100),
 )

@@ -8,6 +8,9 @@ from mjris.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
 
+_CHUNK = 4096
+"""Places of all cells that are predicted together, which bounds the memory."""
+
 
 def link_gains(simulator: Simulator, places: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Power gains of AP–RIS [E, P] and RIS–users [E, P, K] for panels at `places` [E, P, 2] [m], patterns included.
@@ -44,23 +47,30 @@ def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
     return penalised(rates, config.task.qos_bps, config.task.qos_penalty)
 
 
-def best_goals(simulator: Simulator, horizon_slots: int = 30) -> tuple[FloatArray, FloatArray]:
+def node_values(simulator: Simulator) -> FloatArray:
+    """`place_values` [E, n] [bit/s] at the nodes of `World.paths`, -inf where unreachable."""
+    paths, cells = simulator.world.paths, simulator.num_cells
+    parts = np.array_split(paths.nodes, max(1, len(paths.nodes) * cells // _CHUNK))
+    values = [place_values(simulator, np.broadcast_to(part, (cells, *part.shape))) for part in parts]
+    return np.where(paths.reachable, np.concatenate(values, 1), -np.inf)
+
+
+def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArray, FloatArray]:
     """Where to drive [E, 2] [m] for the largest predicted sum over the next slots, and the mean of that [E] [bit/s].
 
-    Of every other node of `World.paths` and the present place, for users who stay where they are. On the way the
-    value is taken to change evenly.
+    Of the nodes of `World.paths` and the present place, the way there included. Users are taken to stay where they
+    are; the horizon is short because they do not.
     """
     world, paths = simulator.world, simulator.world.paths
     here = world.fleet.xy
-    nodes = paths.nodes[paths.coarse]
-    places = np.concatenate([here[:, None], np.broadcast_to(nodes, (len(here), *nodes.shape))], 1)
-    values = place_values(simulator, places)
-    reach = world.config.max_speed_mps * world.config.slot_s
-    slots = np.minimum(paths.distance_to_nodes(here)[:, paths.coarse] / reach, horizon_slots)
-    slots = np.concatenate([np.zeros((len(here), 1)), slots], 1)
-    total = slots * (values[:, :1] + values) / 2 + (horizon_slots - slots) * values
-    cells, best = np.arange(len(here)), total.argmax(1)
-    return places[cells, best], total[cells, best] / horizon_slots
+    horizon_m = horizon_slots * world.config.max_speed_mps * world.config.slot_s
+    present, values = place_values(simulator, here[:, None])[:, 0], node_values(simulator)
+    way_m, on_the_way = paths.along(here, present, values)
+    within = way_m < horizon_m
+    total = on_the_way + np.where(within, (horizon_m - way_m) * np.where(within, values, 0), -np.inf)
+    stay = horizon_m * present >= total.max(1)
+    goal = np.where(stay[:, None], here, paths.nodes[total.argmax(1)])
+    return goal, np.maximum(horizon_m * present, total.max(1)) / horizon_m
 
 
 def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArray:

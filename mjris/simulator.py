@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -46,8 +47,8 @@ class Slot:
     """[E, K] [bit/s]"""
     qos_met: NDArray[np.bool_]
     """[E, K]"""
-    bare_rates_bps: FloatArray
-    """What the same slot gives without RIS under the QoS-first powers [E, K] [bit/s]."""
+    bare_rates_bps: FloatArray | None
+    """What the same slot gives without RIS under the reference powers [E, K] [bit/s], where the "gain" reward asks."""
     displacement_m: FloatArray
     """How far each rover got [E, 2] [m]."""
     clearance_m: FloatArray
@@ -93,6 +94,8 @@ class Simulator:
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
         self._order = np.zeros((num_cells, *self.clusters.shape), np.int64)
         self._fresh = np.ones(num_cells, np.bool_)
+        self.resets, self.slots = 0, 0
+        """How often cells began an episode, and the slots since."""
         self._streams: list[_Streams] = []
         self.seed(config.seed)
         self.scene: Scene
@@ -124,6 +127,7 @@ class Simulator:
         self.world.place(cells, [self._streams[e].own for e in cells])
         self._diffuse[cells] = self._draw_diffuse(cells)
         self._fresh[cells] = True
+        self.resets, self.slots = self.resets + 1, 0
         self._face_panels()
         self.scene = self._observe()
         return self.scene
@@ -138,7 +142,9 @@ class Simulator:
         effective = self.effective_channel(phases_rad)
         order = self._decoding_order(effective, powers_w)
         rates = self.rates(effective, powers_w, order)
-        bare = self._bare_rates()
+        bare = None
+        if self.config.task.reward == "gain":
+            _, bare = self.reference_powers(self.scene.channels.direct)
         before = self.world.fleet.xy
         walk, direction = self._draw_steps()
         motion = self.world.move(displacement_m, walk, direction)
@@ -147,6 +153,7 @@ class Simulator:
             fresh = self._draw_diffuse(np.arange(self.num_cells))
             self._diffuse = propagation.evolve(self._diffuse, fresh, self.config.radio.fading_memory)
         self.scene = self._observe()
+        self.slots += 1
         return Slot(
             rates_bps=rates,
             qos_met=rates >= self.config.task.qos_bps,
@@ -183,24 +190,21 @@ class Simulator:
             return access.oma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w)
         return access.noma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w, order)
 
-    def qos_first_powers(self, effective: ComplexArray, margin: float = 1.0) -> FloatArray:
-        """The closed-form powers [..., K] [W] that meet `margin` times QoS first, for channels [..., K, M]."""
-        radio = self.config.radio
-        return control.qos_first_powers(
-            effective,
-            self.clusters,
-            radio.scheme,
-            radio.tx_power_w,
-            radio.bandwidth_hz,
-            radio.noise_w,
-            margin * self.config.task.qos_bps,
-        )
+    def reference_powers(self, effective: ComplexArray, margin: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `control.qos_or_sum`."""
+        return control.qos_or_sum(effective, *self._allocation, margin=margin)
 
-    def _bare_rates(self) -> FloatArray:
-        """What the present slot gives without RIS under the QoS-first powers [E, K] [bit/s]."""
+    def reference_phases(self, weights: FloatArray | None = None) -> FloatArray:
+        """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""
+        channels = self.scene.channels
+        channels = channels._replace(reflected=self.config.radio.element_amplitude * channels.reflected)
+        return control.qos_aligned_phases(channels, *self._allocation, weights=weights)
+
+    @cached_property
+    def _allocation(self) -> tuple[IntArray, str, float, float, float, float]:
+        """What the closed forms of `control` need to know of the system."""
         radio = self.config.radio
-        return control.qos_first_rates(
-            self.scene.channels.direct,
+        return (
             self.clusters,
             radio.scheme,
             radio.tx_power_w,

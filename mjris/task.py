@@ -14,8 +14,12 @@ FloatArray = NDArray[np.floating]
 
 _MAP_RADII_M = (0.6, 2.0, 5.0)
 _MAP_DIRECTIONS = 8
-_WAYPOINT_REACH_M = 12.5
-"""The furthest waypoint, about half the diagonal of the default office."""
+_GOAL_REACH_M = 4.0
+"""How far an action may move the goal of the radio map."""
+_REPLAN_SLOTS = 3
+"""How often the goals of the radio map are planned: users hardly move in between."""
+_FAR_M = 12.0
+"""The furthest waypoint, and what counts as one in observations: about half the diagonal of the default office."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +36,15 @@ class Outcome:
 class Task:
     """The agents' side of a simulator with E cells.
 
-    An action [E, 2 + N + K] in [-1, 1] is a displacement, phases and powers; see `decode` for each.
+    An action [E, 2 + N + K], or [E, 2 + K + K], in [-1, 1] is motion, phases and powers; see `decode` for each.
     """
 
     def __init__(self, config: Config, num_cells: int = 1, first_cell: int = 0):
         self.config = config
         self.simulator = Simulator(config, num_cells, first_cell)
-        self.action_size = 2 + config.radio.num_elements + config.world.num_users
+        users = config.world.num_users
+        self._num_phases = config.radio.num_elements if config.task.phase_control == "elements" else users
+        self.action_size = 2 + self._num_phases + users
         room = [self.simulator.world.office(e).layout.room.size[:2] for e in range(num_cells)]
         self._half_room = np.array(room) / 2
         self._reach_m = config.world.max_speed_mps * config.world.slot_s
@@ -50,6 +56,15 @@ class Task:
         # The most that corrections take from a user; 5 % more for the interference of those who get it.
         self.qos_margin = 1.05 * (1 + residual) / (1 - residual)
         """How far the reference powers aim above QoS, so that corrections cannot cost it."""
+        kinds = [
+            (2, config.task.motion == "goal"),
+            (self._num_phases, config.task.phase_control == "weights"),
+            (users, config.task.power_reference == "qos"),
+        ]
+        self._corrections = np.concatenate([np.full(size, is_one) for size, is_one in kinds])
+        """Which entries of an action correct a closed form, [A]."""
+        self._planned_at: tuple[int, int] | None = None
+        self._planned: tuple[FloatArray, FloatArray]
         self.observation_size = self.observe().shape[1]
 
     def reset(self, seed: int | None = None) -> NDArray[np.float32]:
@@ -62,19 +77,24 @@ class Task:
     def step(self, action: FloatArray) -> Outcome:
         """Play one slot with actions [E, A]."""
         slot = self.simulator.step(*self.decode(action))
-        return Outcome(self.observe(), self.reward(slot), slot)
+        return Outcome(self.observe(), self.reward(slot) - self._effort(action), slot)
+
+    def _effort(self, action: FloatArray) -> FloatArray:
+        """What corrections to the closed forms cost [E] [Mb/s]: the mean square of those entries."""
+        corrections = np.clip(np.asarray(action, np.float64), -1, 1)[:, self._corrections]
+        return self.config.task.effort_cost * (corrections**2).sum(-1) / max(1, corrections.shape[1])
 
     def decode(self, action: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Displacement [E, 2] [m], phases [E, N] [rad] and powers [E, K] [W] of actions [E, A].
 
-        The displacement is a point of the disc that the rover can reach in a slot, or leads as far toward a waypoint
-        as that; distances to waypoints grow with the square of the action's length, for fine control nearby. Phases are π times the action,
-        or `residual` times that from the aligned reference. Powers are shares of what a user may have, (1 + a)/2; or
-        the QoS-first ones times 1 + `residual` a, with a margin over QoS that corrections cannot use up. Neither
-        exceeds the budget.
+        Motion is a point of the disc that the rover can reach in a slot; or a way toward the radio map's goal, moved
+        by up to 4 m, with fine control of small moves. Phases are π times the action; or the closed-form alignment for
+        user weights of 10 to the power of it. Powers are shares of what a user may have, (1 + a)/2; or the closed-form
+        ones times 1 + `residual` a, with a margin over QoS that corrections cannot use up where there is enough power.
+        Neither exceeds the budget.
         """
         action = np.clip(np.asarray(action, np.float64), -1, 1)
-        move, phases, powers = np.split(action, [2, self.action_size - self.config.world.num_users], axis=-1)
+        move, phases, powers = np.split(action, [2, 2 + self._num_phases], axis=-1)
         phases_rad = self._phases(phases)
         return self._displacement(move), phases_rad, self._powers(powers, phases_rad)
 
@@ -87,7 +107,7 @@ class Task:
         """Rewards [E] [Mb/s]: eq. (R), minus the same slot's value without RIS if the reward is "gain"."""
         task = self.config.task
         value = penalised(slot.rates_bps, task.qos_bps, task.qos_penalty)
-        if task.reward == "gain":
+        if slot.bare_rates_bps is not None:
             value = value - penalised(slot.bare_rates_bps, task.qos_bps, task.qos_penalty)
         return value / 1e6
 
@@ -98,15 +118,17 @@ class Task:
         inside = move / np.maximum(length, 1)
         if self.config.task.motion == "displacement":
             return self._reach_m * inside
-        offset = _WAYPOINT_REACH_M * np.minimum(length, 1) * inside
-        return self.simulator.world.way_toward(self.simulator.scene.rover_xy + offset)
+        # The square gives fine control nearby.
+        offset = np.minimum(length, 1) * inside
+        if self.config.task.motion == "waypoint":
+            return self.simulator.world.way_toward(self.simulator.scene.rover_xy + _FAR_M * offset)
+        return self.simulator.world.way_toward(self._goals()[0] + _GOAL_REACH_M * offset)
 
     def _phases(self, action: FloatArray) -> FloatArray:
         if self.config.task.phases == "random":
             return self.simulator.random_phases()
-        if self.config.task.phase_reference == "aligned":
-            reference = control.aligned_phases(self.simulator.scene.channels)
-            return reference + self.config.task.residual * np.pi * action
+        if self.config.task.phase_control == "weights":
+            return self.simulator.reference_phases(10.0**action)
         return np.pi * action
 
     def _powers(self, action: FloatArray, phases_rad: FloatArray) -> FloatArray:
@@ -115,7 +137,7 @@ class Task:
         if self.config.task.power_reference == "qos":
             most = radio.tx_power_w / (radio.num_clusters if radio.scheme == "noma" else action.shape[-1])
             effective = self.simulator.effective_channel(phases_rad)
-            reference = self.simulator.qos_first_powers(effective, margin=self.qos_margin)
+            reference, _ = self.simulator.reference_powers(effective, margin=self.qos_margin)
             shares = np.minimum(reference / most * (1 + self.config.task.residual * action), 1)
         return control.split_powers(shares, clusters, radio.scheme, radio.tx_power_w)
 
@@ -137,10 +159,10 @@ class Task:
         ]
 
     def _observe_map(self) -> list[FloatArray]:
-        """Positions, path losses and the radio map around the rover.
+        """Positions, gains of the users' channels and the radio map around the rover.
 
-        What places around it are worth more than its own, how far the ways there are free, and the place of the
-        whole floor that promises most, as a waypoint and in what it promises.
+        What places around it are worth more than its own, how far the ways there are free, and where the map's goal
+        is and what it promises.
         """
         scene, world = self.simulator.scene, self.simulator.world
         here = scene.rover_xy[:, None]
@@ -149,24 +171,33 @@ class Task:
         ends = here + self._lidar_ends
         keep = world.hull_radius_m + self.config.world.bumper_m
         lidar = np.minimum(world.free_share(np.broadcast_to(here, ends.shape), ends, keep), 1)
-        goal, promised = best_goals(self.simulator)
-        relative = (scene.users_xy - here) / self._half_room[:, None]
+        goal, promised = self._goals()
         return [
             *self._positions(),
-            relative,
+            (scene.users_xy - here) / self._half_room[:, None],
             _scaled_loss(scene.path_loss_db),
+            *self._user_gains(),
             values[:, :1],
             5 * gain,
             lidar,
-            self.waypoint_action(goal),
+            _compressed(goal - scene.rover_xy),
             5 * (promised[:, None] / 1e6 - values[:, :1]),
         ]
 
-    def waypoint_action(self, places: FloatArray) -> FloatArray:
-        """The action's first two entries that make for `places` [E, 2] [m], [E, 2]."""
-        offset = places - self.simulator.scene.rover_xy
-        share = np.linalg.norm(offset, axis=-1, keepdims=True) / _WAYPOINT_REACH_M
-        return offset / _WAYPOINT_REACH_M / np.sqrt(np.maximum(share, 1e-12)) / np.sqrt(np.maximum(share, 1))
+    def _user_gains(self) -> list[FloatArray]:
+        """Gains of the users' direct channels, and of all elements in phase [E, K] each, scaled like path losses."""
+        direct, incident, reflected = self.simulator.scene.channels
+        strength = np.linalg.norm(direct, axis=-1)
+        panel = (np.abs(reflected) * np.linalg.norm(incident, axis=-1)[:, None]).sum(-1)
+        return [_scaled_loss(-20 * np.log10(np.maximum(amplitude, 1e-9))) for amplitude in (strength, panel)]
+
+    def _goals(self) -> tuple[FloatArray, FloatArray]:
+        """`best_goals`, planned anew every few slots."""
+        simulator = self.simulator
+        now = simulator.resets, simulator.slots // _REPLAN_SLOTS
+        if now != self._planned_at:
+            self._planned_at, self._planned = now, best_goals(simulator)
+        return self._planned
 
     def _positions(self) -> list[FloatArray]:
         scene = self.simulator.scene
@@ -174,6 +205,12 @@ class Task:
         rover = scene.rover_xy / self._half_room - 1
         users = scene.users_xy / self._half_room[:, None] - 1
         return [rover, np.cos(heading), np.sin(heading), users]
+
+
+def _compressed(offset_m: FloatArray) -> FloatArray:
+    """Offsets [..., 2] [m] of order one, their lengths under a square root: what is near matters in detail."""
+    length = np.linalg.norm(offset_m, axis=-1, keepdims=True)
+    return offset_m / np.sqrt(_FAR_M * np.maximum(length, 1e-9))
 
 
 def _scaled_loss(loss_db: FloatArray) -> FloatArray:

@@ -1,14 +1,9 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from rich.console import Console
 
-from mjris.cli import _print_table
-from mjris.config import Config, Radio, Task, World
+from mjris.config import Config, Radio, World
 from mjris.constraints import NAMES, ascending, evaluate, within_budget, within_room
 from mjris.env import OfficeEnv
-from mjris.eval.evaluate import compare
 from mjris.radio import access
 from mjris.simulator import Simulator
 
@@ -139,28 +134,3 @@ def test_info_has_every_constraint_as_a_plain_bool():
         assert all(type(value) is bool for value in info["constraints"].values())
         assert info["constraints"]["qos"] == info["qos_met"].all()
         assert info["constraints"]["collision_free"] == (info["collisions"] == 0)
-
-
-def test_the_evaluation_counts_the_slots_that_break_a_constraint():
-    slots, scenes = 6, 8
-    static = Config(
-        world=World(drive="kinematic"),
-        radio=Radio(decoding_order="static"),
-        task=Task(slots=slots, phase_reference="aligned", power_reference="qos"),
-    )
-    size = 2 + static.radio.num_elements + 4
-
-    def still(observation: np.ndarray) -> np.ndarray:
-        return np.zeros((len(observation), size))
-
-    table = compare(static, still, scenes, 5, lambda _: None)
-    for name in ("in_room", "power", "collision_free"):
-        assert table[f"violated_{name}"].tolist() == [0] * 4
-    assert table["violated_decoding_order"].between(1, slots * scenes - 1).all()
-    np.testing.assert_allclose(table["violated_qos"], slots * scenes * (1 - table["qos_share"]))
-    console = Console(record=True, width=80)
-    _print_table(console, table)
-    for policy, count in zip(table["policy"], table["violated_decoding_order"], strict=True):
-        assert f"{policy}: slots that broke a constraint: decoding_order {count}" in console.export_text(clear=False)
-    dynamic = compare(replace(static, radio=Radio()), still, scenes, 5, lambda _: None)
-    assert dynamic["violated_decoding_order"].tolist() == [0] * 4

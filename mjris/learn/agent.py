@@ -39,6 +39,39 @@ class PaperCritic(ContinuousCritic):
         return values
 
 
+class CautiousCritic(ContinuousCritic):
+    """SB3's critic, which charges the actor for the size of its actions.
+
+    The actor maximises Q / |Q| - c a², both means over the batch: behaviour cloning toward action zero as in TD3+BC
+    (Fujimoto and Gu, 2021). With c = 0 it is SB3's own.
+    """
+
+    def __init__(self, *args: Any, caution: float, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self.caution = caution
+
+    def q1_forward(self, obs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        """Value [B, 1] of the actor's own actions [B, A], less what they cost."""
+        values = super().q1_forward(obs, actions)
+        if self.caution == 0:
+            return values
+        cost = self.caution * actions.square().mean(-1, keepdim=True)
+        return values / values.detach().abs().mean() - cost
+
+
+class CautiousPolicy(TD3Policy):
+    """SB3's actor and critic, with the caution of `CautiousCritic`."""
+
+    def __init__(self, *args: Any, caution: float, **kwargs: Any):
+        self._caution = caution
+        super().__init__(*args, **kwargs)
+
+    def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> CautiousCritic:
+        """The critic, observation [B, D] and action [B, A] → one value [B, 1]."""
+        kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return CautiousCritic(caution=self._caution, **kwargs)
+
+
 class PaperPolicy(TD3Policy):
     """SB3's actor and critic with batch normalisation before every linear layer (paper, section V-C).
 
@@ -117,7 +150,7 @@ def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:
     assert isinstance(env.action_space, gym.spaces.Box)
     agent = config.agent
     model = DDPG(
-        PaperPolicy if agent.network == "paper" else TD3Policy,
+        PaperPolicy if agent.network == "paper" else CautiousPolicy,
         env,
         learning_rate=agent.learning_rate,
         buffer_size=agent.buffer_size,
@@ -132,6 +165,7 @@ def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:
             "net_arch": _layers(agent, config.radio),
             "n_critics": 1,
             "optimizer_kwargs": {"fused": True},  # one call instead of a dozen for every small tensor
+            **({} if agent.network == "paper" else {"caution": agent.caution}),
         },
         seed=int(rng.integers(2**32)),
         device="cpu",

@@ -93,18 +93,33 @@ def arranged(values: Array, clusters: Array) -> Array:
     return xp.reshape(xp.take(values, xp.reshape(clusters, (-1,)), axis=-1), (*values.shape[:-1], *clusters.shape))
 
 
-def effective_gains(channel: Array, cluster_power_w: Array, clusters: Array, noise_w: float) -> Array:
-    """e_k = |h_k g_v|² / (inter-cluster interference + noise) of every user [..., K] [1/W], eq. (SINROMA).
-
-    `cluster_power_w` [..., V] [W] is what each cluster transmits in all, `clusters` as from `partition`. The beam g_v
-    of a cluster is zero-forced on its strongest user, eq. (ZFNOMA).
-    """
+def cluster_beams(channel: Array, clusters: Array) -> Array:
+    """The beam of every cluster [..., M, V], zero-forced on its strongest user, eq. (ZFNOMA)."""
     xp = array_namespace(channel)
     strength = xp.real(xp.vecdot(channel, channel))
     strongest = xp.argmax(arranged(strength, clusters), axis=-1, keepdims=True)
     heads = xp.take_along_axis(xp.broadcast_to(clusters, (*strength.shape[:-1], *clusters.shape)), strongest, axis=-1)
-    beams = zero_forcing(xp.take_along_axis(channel, heads, axis=-2))
-    received = xp.abs(channel @ beams) ** 2
+    return zero_forcing(xp.take_along_axis(channel, heads, axis=-2))
+
+
+def user_beams(channel: Array, clusters: Array, scheme: str) -> Array:
+    """The beam that every user is served with [..., M, K]: that of the cluster, or with "oma" one of its own."""
+    xp = array_namespace(channel)
+    if scheme == "noma":
+        return xp.take(cluster_beams(channel, clusters), _cluster_of(clusters), axis=-1)
+    bands = xp.matrix_transpose(clusters)
+    beams = [zero_forcing(xp.take(channel, bands[band, ...], axis=-2)) for band in range(bands.shape[0])]
+    return xp.take(xp.concat(beams, axis=-1), xp.argsort(xp.reshape(bands, (-1,))), axis=-1)
+
+
+def effective_gains(channel: Array, cluster_power_w: Array, clusters: Array, noise_w: float) -> Array:
+    """e_k = |h_k g_v|² / (inter-cluster interference + noise) of every user [..., K] [1/W], eq. (SINROMA).
+
+    `cluster_power_w` [..., V] [W] is what each cluster transmits in all, `clusters` as from `partition`. The beam g_v
+    of a cluster is that of `cluster_beams`.
+    """
+    xp = array_namespace(channel)
+    received = xp.abs(channel @ cluster_beams(channel, clusters)) ** 2
     own = _cluster_of(clusters)[:, None] == xp.arange(clusters.shape[0], device=device(channel))
     interference = xp.sum(xp.where(own, 0.0, received) * cluster_power_w[..., None, :], axis=-1)
     return xp.sum(xp.where(own, received, 0.0), axis=-1) / (interference + noise_w)

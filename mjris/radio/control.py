@@ -1,6 +1,7 @@
 """From actions to phases and powers, and the closed forms that serve as their references."""
 
 import math
+from typing import NamedTuple
 
 from array_api_compat import array_namespace, device
 
@@ -13,9 +14,12 @@ from mjris.radio.access import (
     oma_rates,
     partition,
     resolve_order,
+    user_beams,
 )
 from mjris.radio.channel import Channels, effective_channel
 from mjris.radio.propagation import Array
+
+_MORE_THAN_ANY_BPS = 1e12
 
 
 def aligned_phases(channels: Channels, weights: Array | None = None, iterations: int = 3) -> Array:
@@ -32,6 +36,41 @@ def aligned_phases(channels: Channels, weights: Array | None = None, iterations:
     for _ in range(iterations):
         response = _aligned_response(channels, effective_channel(channels, response), weights, response)
     return xp.atan2(xp.imag(response), xp.real(response))
+
+
+def qos_aligned_phases(
+    channels: Channels,
+    clusters: Array,
+    scheme: str,
+    tx_power_w: float,
+    bandwidth_hz: float,
+    noise_w: float,
+    qos_bps: float,
+    weights: Array | None = None,
+    iterations: int = 5,
+) -> Array:
+    """Phases [..., N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum`.
+
+    Starts at `aligned_phases`; then every iteration aligns all elements to Σ_k w_k |h_k g_k|², the users' gains through
+    their present beams, where whoever misses QoS has his weight raised fourfold. `weights` [..., K] > 0 are those of
+    the first iteration, None for one. Of all that it meets, it keeps the phases with QoS for every user, and among
+    those the highest sum rate. Other arguments as in `qos_or_sum`.
+    """
+    xp = array_namespace(*channels)
+    phases = aligned_phases(channels, weights)
+    response = xp.exp(1j * phases)
+    raised = xp.ones(channels.direct.shape[:-1], dtype=phases.dtype) if weights is None else weights
+    best = xp.full(phases.shape[:-1], -math.inf, dtype=phases.dtype)
+    for _ in range(iterations):
+        channel = effective_channel(channels, response)
+        _, rates = qos_or_sum(channel, clusters, scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps)
+        missed = rates < qos_bps
+        score = xp.sum(rates, axis=-1) + xp.where(xp.any(missed, axis=-1), 0.0, _MORE_THAN_ANY_BPS)
+        phases = xp.where((score > best)[..., None], xp.atan2(xp.imag(response), xp.real(response)), phases)
+        best = xp.maximum(best, score)
+        raised = xp.where(missed, 4.0 * raised, raised)
+        response = _beam_aligned_response(channels, channel, user_beams(channel, clusters, scheme), raised, response)
+    return phases
 
 
 def split_powers(shares: Array, clusters: Array, scheme: str, tx_power_w: float) -> Array:
@@ -72,11 +111,11 @@ def qos_first_powers(
     clusters = partition(clusters, num_users, channel)
     if _is_oma(scheme):
         return xp.full(channel.shape[:-1], tx_power_w / num_users, dtype=xp.float64, device=device(channel))
-    powers, _, _ = _qos_first(channel, clusters, tx_power_w, bandwidth_hz, noise_w, qos_bps, order)
-    return powers
+    decoding = _decoding(channel, clusters, tx_power_w, noise_w, order)
+    return _first_split(decoding, clusters, tx_power_w, bandwidth_hz, qos_bps)
 
 
-def qos_first_rates(
+def qos_or_sum(
     channel: Array,
     clusters: Array,
     scheme: str,
@@ -84,39 +123,59 @@ def qos_first_rates(
     bandwidth_hz: float,
     noise_w: float,
     qos_bps: float,
-) -> Array:
-    """Rates of the users [..., K] [bit/s] under `qos_first_powers`, for the same arguments."""
+    margin: float = 1.0,
+) -> tuple[Array, Array]:
+    """Powers of the users [..., K] [W], and their rates [..., K] [bit/s], for the most in eq. (R).
+
+    Those of `qos_first_powers` for `margin` times the QoS, or for the QoS itself, where they give it to every user. If
+    not, it is missed anyhow, and only the sum counts: then the strongest user of a cluster has all of its power.
+    """
+    xp = array_namespace(channel)
     if _is_oma(scheme):
         powers = qos_first_powers(channel, clusters, scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps)
-        return oma_rates(channel, powers, clusters, bandwidth_hz, noise_w)
+        return powers, oma_rates(channel, powers, clusters, bandwidth_hz, noise_w)
     clusters = partition(clusters, channel.shape[-2], channel)
-    powers, gains, later = _qos_first(channel, clusters, tx_power_w, bandwidth_hz, noise_w, qos_bps)
-    # Clusters spend all they have, which is what the gains were worked out for.
-    return cancellation_rates(gains, powers, later, bandwidth_hz)
+    decoding = _decoding(channel, clusters, tx_power_w, noise_w)
+    powers = _first_split(decoding, clusters, tx_power_w, bandwidth_hz, 0.0)
+    rates = cancellation_rates(decoding.gains, powers, decoding.later, bandwidth_hz)
+    for least_bps in (qos_bps, margin * qos_bps) if margin > 1 else (qos_bps,):
+        tried = _first_split(decoding, clusters, tx_power_w, bandwidth_hz, least_bps)
+        reached = cancellation_rates(decoding.gains, tried, decoding.later, bandwidth_hz)
+        met = xp.all(reached >= qos_bps, axis=-1, keepdims=True)
+        powers, rates = xp.where(met, tried, powers), xp.where(met, reached, rates)
+    return powers, rates
 
 
-def _qos_first(
-    channel: Array,
-    clusters: Array,
-    tx_power_w: float,
-    bandwidth_hz: float,
-    noise_w: float,
-    qos_bps: float,
-    order: Array | None = None,
-) -> tuple[Array, Array, Array]:
-    """`qos_first_powers` of NOMA, the effective gains [..., K] and the `later_users` that they follow from."""
+class _Decoding(NamedTuple):
+    """Who decodes what where every cluster spends all it has."""
+
+    gains: Array
+    """Effective gains [..., K]."""
+    later: Array
+    """`later_users` [..., K, K]."""
+    sequence: Array
+    """Users in decoding order, cluster by cluster, int [..., K]."""
+
+
+def _decoding(
+    channel: Array, clusters: Array, tx_power_w: float, noise_w: float, order: Array | None = None
+) -> _Decoding:
     xp = array_namespace(channel)
-    num_users = channel.shape[-2]
-    num_clusters, size = clusters.shape
-    budgets = xp.full((num_clusters,), tx_power_w / num_clusters, dtype=xp.float64, device=device(channel))
+    budgets = xp.full((clusters.shape[0],), tx_power_w / clusters.shape[0], dtype=xp.float64, device=device(channel))
     gains = effective_gains(channel, budgets, clusters, noise_w)
     resolved = resolve_order(gains, clusters, order)
-    later = later_users(resolved)
-    sequence = xp.broadcast_to(xp.reshape(resolved, (*resolved.shape[:-2], num_users)), gains.shape)
-    decoded = xp.take_along_axis(decodable_gains(gains, later), sequence, axis=-1)
-    decoded = xp.reshape(decoded, (*gains.shape[:-1], num_clusters, size))
-    powers = xp.reshape(qos_first_split(decoded, budgets, bandwidth_hz, qos_bps), sequence.shape)
-    return xp.take_along_axis(powers, xp.argsort(sequence, axis=-1), axis=-1), gains, later
+    sequence = xp.broadcast_to(xp.reshape(resolved, (*resolved.shape[:-2], gains.shape[-1])), gains.shape)
+    return _Decoding(gains, later_users(resolved), sequence)
+
+
+def _first_split(decoding: _Decoding, clusters: Array, tx_power_w: float, bandwidth_hz: float, qos_bps: float) -> Array:
+    """`qos_first_split` of all clusters, powers [..., K] [W]."""
+    xp = array_namespace(decoding.gains)
+    gains = xp.take_along_axis(decodable_gains(decoding.gains, decoding.later), decoding.sequence, axis=-1)
+    gains = xp.reshape(gains, (*gains.shape[:-1], *clusters.shape))
+    budgets = xp.full_like(gains[..., 0], tx_power_w / clusters.shape[0])
+    powers = xp.reshape(qos_first_split(gains, budgets, bandwidth_hz, qos_bps), decoding.sequence.shape)
+    return xp.take_along_axis(powers, xp.argsort(decoding.sequence, axis=-1), axis=-1)
 
 
 def qos_first_split(gains: Array, budget_w: Array, bandwidth_hz: float, qos_bps: float) -> Array:
@@ -147,6 +206,23 @@ def _aligned_response(channels: Channels, channel: Array, weights: Array | None,
     if weights is not None:
         towards = weights[..., :, None] * towards
     pull = xp.sum(channels.reflected * (towards @ xp.matrix_transpose(channels.incident)), axis=-2)
+    return _opposite_phase(pull, response)
+
+
+def _beam_aligned_response(channels: Channels, channel: Array, beams: Array, weights: Array, response: Array) -> Array:
+    """Coefficients [..., N] aligned to h_k g_k of `channel` [..., K, M] and `beams` [..., M, K], by `weights` [..., K].
+
+    The tangent of Σ_k w_k |h_k g_k|² with the beams held, as in `_aligned_response`.
+    """
+    xp = array_namespace(channel)
+    own = xp.sum(channel * xp.matrix_transpose(beams), axis=-1)
+    through = channels.reflected * xp.matrix_transpose(channels.incident @ beams)
+    return _opposite_phase(xp.sum((weights * xp.conj(own))[..., None] * through, axis=-2), response)
+
+
+def _opposite_phase(pull: Array, response: Array) -> Array:
+    """Unit coefficients [..., N] that turn `pull` [..., N] real; `response` where there is no pull."""
+    xp = array_namespace(pull)
     modulus = xp.abs(pull)
     return xp.where(modulus > 0, xp.conj(pull) / xp.where(modulus > 0, modulus, 1.0), response)
 

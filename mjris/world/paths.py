@@ -54,9 +54,6 @@ class Paths:
         """Places of the grid that can be reached from the start, in one office at least, [n, 2] [m]."""
         self.reachable: BoolArray = reached[:, kept]
         """Which of them can be, [E or 1, n]."""
-        spacing = np.nanmin(np.where(length > 0, length, np.nan))
-        self.coarse: IntArray = np.flatnonzero((np.rint((self.nodes - start) / spacing) % 2 == 0).all(-1))
-        """Indices of every other node each way."""
         # Neighbours that are dropped have no edges, so that it does not matter what stands for them.
         self._neighbours = np.maximum(np.cumsum(kept) - 1, 0)[neighbours[kept]]
         self._edge_m = np.where(self.reachable[..., None], length[:, kept], np.inf).astype(np.float32)

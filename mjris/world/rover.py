@@ -144,6 +144,7 @@ class StraightDrive(Fleet):
         self._left = np.zeros(batch.nsim)
 
     def face(self, direction: FloatArray) -> None:
+        """At once."""
         self._pan[:] = _wrapped(direction - self.heading)
 
     def _begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:
@@ -158,6 +159,7 @@ class StraightDrive(Fleet):
         return np.flatnonzero(by_ticks)
 
     def drive(self, cells: IntArray, room_m: FloatArray) -> None:
+        """Straight ahead, as far as the bumper allows; it is read where it may feel something."""
         unit = self._unit[cells]
         # A hair more than the speed allows, so that rounding leaves nothing over after the last tick.
         step = np.minimum(self._left[cells], self._config.max_speed_mps * self._tick_s * (1 + 1e-9))
@@ -190,16 +192,18 @@ class WheelDrive(Fleet):
         self._target = np.zeros((batch.nsim, 2))
 
     def face(self, direction: FloatArray) -> None:
+        """By the pan motor, which takes its time."""
         pan = _wrapped(direction - self.heading)
         # The nearest equivalent angle: the motor never takes the long way round.
         self._ctrl[:, self._pan_motor] = self._pan + _wrapped(pan - self._pan)
 
-    def _begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:
+    def _begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:  # noqa: ARG002
         self._target = self._pose[:, :2] + displacement
         # Motors and friction want every step, whatever is near.
         return np.arange(len(room_m))
 
-    def drive(self, cells: IntArray, room_m: FloatArray) -> None:
+    def drive(self, cells: IntArray, room_m: FloatArray) -> None:  # noqa: ARG002
+        """Wheel speeds toward the target for the physics steps of a tick; every step reads the bumper."""
         move = self._target[cells] - self._pose[cells, :2]
         length = np.hypot(move[:, 0], move[:, 1])
         heading = self._heading(cells)

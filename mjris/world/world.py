@@ -133,9 +133,10 @@ class World:
     def way_toward(self, goal: FloatArray) -> FloatArray:
         """The next slot's displacement [E, 2] [m] on the shortest ways to `goal` [E, 2] [m], and around people."""
         here = self.fleet.xy
-        move = self.paths.around(
-            here, self.paths.toward(here, goal), self.crowd.xy, self.paths.keep_m + PERSON_RADIUS_M
-        ) - here
+        move = (
+            self.paths.around(here, self.paths.toward(here, goal), self.crowd.xy, self.paths.keep_m + PERSON_RADIUS_M)
+            - here
+        )
         reach = self.config.max_speed_mps * self.config.slot_s
         return move * np.minimum(1, reach / np.maximum(np.linalg.norm(move, axis=-1, keepdims=True), 1e-12))
 
