@@ -5,7 +5,7 @@ import os
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, Union
 
 import tyro
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
 
-    from mjris.eval.evaluate import Act
+    from mjris.eval.policies import Act
 
 T = TypeVar("T")
 Flags = Annotated[T, tyro.conf.arg(name="")]
@@ -29,6 +29,8 @@ class Train:
     """Run folder; it must be new or empty."""
     preset: str = "office"
     """Where defaults come from: office (recommended), paper (the paper's literal agent) or demo (minutes)."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the agents of a stack learn."""
     config: Flags[Config] = field(default_factory=Config)
 
     def run(self) -> None:
@@ -39,13 +41,13 @@ class Train:
 
         print(describe(self.config))
         with progress_bar(self.config) as report:
-            train(self.config, self.out, report=report)
+            train(self.config, self.out, report=report, device=self.device)
         print(f"run folder: {self.out}")
 
 
 @dataclass(kw_only=True)
 class Evaluate:
-    """Play the trained agent, a fixed RIS, random phases and no RIS on the same held-out scenes."""
+    """Play the trained agent and its rivals on the same held-out scenes: parked, random phases, no RIS, planner."""
 
     run_dir: Annotated[Path, tyro.conf.arg(name="run")]
     """Run folder of `mjris train`; its config is where defaults come from."""
@@ -57,6 +59,9 @@ class Evaluate:
     """The scenes follow from this seed."""
     cell: int = 0
     """Whose agent is played."""
+    planner: bool = True
+    """Also the planner with the best phases and powers known, the upper bound, and every policy's share of both; this
+    takes about as long as all other policies together."""
     config: Flags[Config] = field(default_factory=Config)
 
     def run(self) -> None:
@@ -66,6 +71,9 @@ class Evaluate:
         from mjris.eval.evaluate import compare
 
         console = Console()
+        if not console.is_terminal:
+            # A file has no width; the 80 columns that rich takes it for would fold the cells.
+            console.width = 120
         act = _learned(self.run_dir, self.cell, self.config)
         with console.status("") as status:
             table = compare(
@@ -74,6 +82,7 @@ class Evaluate:
                 self.scenes,
                 self.scene_seed,
                 lambda name: status.update(f"{name}: {self.scenes} scenes"),
+                with_planner=self.planner,
             )
         _print_table(console, table)
         path = self.out or self.run_dir / "evaluation.csv"
@@ -241,26 +250,11 @@ def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
 
 
 def _print_table(console: "Console", table: "pd.DataFrame") -> None:
-    from rich.table import Table
+    from mjris.eval.evaluate import as_text, broken_columns
 
-    from mjris.constraints import NAMES
-
-    shown = Table(title=f"{table.scenes[0]} held-out scenes, means and 95 % intervals")
-    for name in ("policy", "sum rate [Mb/s]", "over no RIS [%]", "QoS met", "hits"):
-        shown.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
-    for row in table.to_dict("records"):
-        shown.add_row(
-            row["policy"],
-            f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.3f} … {row['sum_rate_high']:.3f})",
-            f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f} … {row['gain_high']:+.1f})",
-            f"{row['qos_share']:.1%}",
-            str(row["collisions"]),
-        )
-    console.print(shown)
-    # QoS has a column of its own; the other constraints are expected to be kept.
-    others = [f"violated_{name}" for name in NAMES if name != "qos"]
-    for row in table.to_dict("records"):
-        broken = ", ".join(f"{name.removeprefix('violated_')} {row[name]}" for name in others if row[name])
+    console.print(as_text(table))
+    for row in table.dropna(subset="qos_share").to_dict("records"):
+        broken = ", ".join(f"{name.removeprefix('violated_')} {row[name]}" for name in broken_columns() if row[name])
         if broken:
             console.print(f"{row['policy']}: slots that broke a constraint: {broken}", highlight=False)
 

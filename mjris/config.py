@@ -166,11 +166,11 @@ class Task:
     phase_control: Literal["elements", "weights"] = "elements"
     """elements: a phase for each; weights: one for each user in the closed-form alignment to the observed channel."""
     power_reference: Literal["even", "qos"] = "even"
-    """The powers at action zero: an even split, or the closed-form split that meets QoS first."""
-    residual: Annotated[float, Field(gt=0, lt=1)] = 0.1
-    """How far actions move powers from the QoS reference, relative."""
+    """even: shares of what a user may have; qos: the closed-form split, for least rates from the QoS on."""
+    qos_headroom: NonNegative = 0.1
+    """How far above the QoS an action can set a user's least rate, relative."""
     effort_cost: NonNegative = 0.0
-    """What full corrections (of a goal, weights, or the QoS reference) cost in the reward [Mb/s]."""
+    """What full corrections (of a goal, weights, or least rates) cost in the reward [Mb/s]."""
     observation: Literal["csi", "map"] = "csi"
     """csi: the paper's state; map: geometry in the rover's frame and the gain map around it."""
     reward: Literal["sum_rate", "gain"] = "sum_rate"

@@ -190,9 +190,11 @@ class Simulator:
             return access.oma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w)
         return access.noma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w, order)
 
-    def reference_powers(self, effective: ComplexArray, margin: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    def reference_powers(
+        self, effective: ComplexArray, wanted_bps: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `control.qos_or_sum`."""
-        return control.qos_or_sum(effective, *self._allocation, margin=margin)
+        return control.qos_or_sum(effective, *self._allocation, wanted_bps=wanted_bps)
 
     def reference_phases(self, weights: FloatArray | None = None) -> FloatArray:
         """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""

@@ -52,10 +52,6 @@ class Task:
         circle = np.stack([np.cos(angles), np.sin(angles)], -1)
         self._map_offsets = np.concatenate([radius * circle for radius in _MAP_RADII_M])
         self._lidar_ends = _MAP_RADII_M[-1] * circle
-        residual = config.task.residual
-        # The most that corrections take from a user; 5 % more for the interference of those who get it.
-        self.qos_margin = 1.05 * (1 + residual) / (1 - residual)
-        """How far the reference powers aim above QoS, so that corrections cannot cost it."""
         kinds = [
             (2, config.task.motion == "goal"),
             (self._num_phases, config.task.phase_control == "weights"),
@@ -90,8 +86,7 @@ class Task:
         Motion is a point of the disc that the rover can reach in a slot; or a way toward the radio map's goal, moved
         by up to 4 m, with fine control of small moves. Phases are π times the action; or the closed-form alignment for
         user weights of 10 to the power of it. Powers are shares of what a user may have, (1 + a)/2; or the closed-form
-        ones times 1 + `residual` a, with a margin over QoS that corrections cannot use up where there is enough power.
-        Neither exceeds the budget.
+        ones for least rates of 1 + `qos_headroom` (1 + a)/2 times the QoS. Neither exceeds the budget.
         """
         action = np.clip(np.asarray(action, np.float64), -1, 1)
         move, phases, powers = np.split(action, [2, 2 + self._num_phases], axis=-1)
@@ -132,14 +127,13 @@ class Task:
         return np.pi * action
 
     def _powers(self, action: FloatArray, phases_rad: FloatArray) -> FloatArray:
-        radio, clusters = self.config.radio, self.simulator.clusters
+        radio, task = self.config.radio, self.config.task
         shares = (1 + action) / 2
-        if self.config.task.power_reference == "qos":
-            most = radio.tx_power_w / (radio.num_clusters if radio.scheme == "noma" else action.shape[-1])
+        if task.power_reference == "qos":
             effective = self.simulator.effective_channel(phases_rad)
-            reference, _ = self.simulator.reference_powers(effective, margin=self.qos_margin)
-            shares = np.minimum(reference / most * (1 + self.config.task.residual * action), 1)
-        return control.split_powers(shares, clusters, radio.scheme, radio.tx_power_w)
+            powers, _ = self.simulator.reference_powers(effective, task.qos_bps * (1 + task.qos_headroom * shares))
+            return powers
+        return control.split_powers(shares, self.simulator.clusters, radio.scheme, radio.tx_power_w)
 
     def _observe_csi(self) -> list[FloatArray]:
         """The paper's state, eq. (S): positions, path losses, and fading with the path loss taken out."""

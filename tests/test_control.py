@@ -166,12 +166,23 @@ def test_a_margin_is_taken_where_it_can_be_had_and_never_costs_qos():
     channel = complex_normal(np.random.default_rng(4), (300, 4, 3))
     arguments = (50.0, 1.0, 0.1, 0.6)
     _, plain = qos_or_sum(channel, CLUSTERS, "noma", *arguments)
-    _, wide = qos_or_sum(channel, CLUSTERS, "noma", *arguments, margin=1.5)
+    _, wide = qos_or_sum(channel, CLUSTERS, "noma", *arguments, wanted_bps=np.full(4, 0.9))
     served = (plain >= 0.6).all(-1)
     np.testing.assert_array_equal((wide >= 0.6).all(-1), served)
     roomy = (qos_or_sum(channel, CLUSTERS, "noma", 50.0, 1.0, 0.1, 0.9)[1] >= 0.9).all(-1)
     assert 0 < roomy.sum() < served.sum()
     np.testing.assert_array_equal((wide >= 0.9 - 1e-9).all(-1), roomy)
+
+
+def test_every_user_may_want_a_rate_of_its_own():
+    channel = complex_normal(np.random.default_rng(7), (50, 4, 3))
+    wanted = np.random.default_rng(8).uniform(0.05, 0.1, (50, 4))
+    powers, rates = qos_or_sum(channel, CLUSTERS, "noma", 500.0, 1.0, 0.1, 0.05, wanted_bps=wanted)
+    order = decoding_order(channel, powers, CLUSTERS, 0.1)
+    for cell in np.flatnonzero((rates >= wanted * (1 - 1e-9)).all(-1)):
+        first = order[cell, :, 0]
+        np.testing.assert_allclose(rates[cell, first], wanted[cell, first], rtol=1e-9)
+    assert (rates >= wanted * (1 - 1e-9)).all(-1).mean() > 0.5
 
 
 @pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.5), ("oma", 2.5)])

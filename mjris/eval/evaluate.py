@@ -6,26 +6,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from rich import box
+from rich.table import Table
 
 from mjris.config import Config, ConfigError
 from mjris.constraints import NAMES
+from mjris.eval.bound import upper_bound
+from mjris.eval.optimum import best_powers
+from mjris.eval.policies import Act, Policy, agent_policies, no_ris, planner, reference_controls
 from mjris.radiomap import penalised
 from mjris.task import Task
 
 FloatArray = NDArray[np.floating]
 
-Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
-"""Actions [E, A] for observations [E, D]."""
-
 _RESAMPLES = 4000
-
-VARIANTS: Mapping[str, Mapping[str, str]] = {
-    "learned": {"ris": "mobile", "phases": "learned"},
-    "fixed RIS": {"ris": "fixed", "phases": "learned"},
-    "random phases": {"ris": "mobile", "phases": "random"},
-    "no RIS": {"ris": "none", "phases": "learned"},
-}
-"""What each compared policy changes in the task; the agent is the same in all of them."""
+_COUNTS = ("collisions", *(f"violated_{name}" for name in NAMES))
+_BOUND = "upper bound"
 
 
 @dataclass(frozen=True)
@@ -34,8 +30,10 @@ class Played:
 
     sum_rate_bps: FloatArray
     """Mean over the slots of every scene [S] [bit/s]."""
+    bare_bps: FloatArray
+    """What the very same slots give without RIS and with the best powers known, [S] [bit/s]."""
     value_bps: FloatArray
-    """The same with the QoS penalty of eq. (R) [S] [bit/s]."""
+    """The sum rate with the QoS penalty of eq. (R) [S] [bit/s]."""
     qos_share: FloatArray
     """Share of slots in which every user meets QoS [S]."""
     collisions: int
@@ -43,64 +41,156 @@ class Played:
     """Smallest clearance of all scenes [m]."""
     violations: Mapping[str, int]
     """Slots of all scenes that broke each constraint, by its name."""
+    bound_bps: FloatArray
+    """Upper bound on the sum rate over the channels of these slots [S] [bit/s]; NaN where it was not asked for."""
 
 
-def play(config: Config, act: Act, scenes: int, seed: int) -> Played:
-    """One episode in each of `scenes` cells, all stepped together."""
-    task = Task(config, num_cells=scenes)
-    observation = task.reset(seed)
-    rates, values, met = [], [], []
+def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: bool = False) -> Played:
+    """One episode in each of `scenes` cells, all stepped together, with fading of their own; see `compare`."""
+    task_config, radio = replace(config.task, **policy.changes), replace(config.radio, difference_factor=1.0)
+    task = Task(replace(config, task=task_config, radio=radio), num_cells=scenes)
+    task.reset(seed)
+    simulator = task.simulator
+    rates, direct, bounds, met = [], [], [], []
     collisions, clearance = 0, np.inf
     violations = dict.fromkeys(NAMES, 0)
-    for _ in range(config.task.slots):
-        outcome = task.step(np.asarray(act(observation), np.float64))
-        observation, slot = outcome.observation, outcome.slot
-        rates.append(slot.rates_bps.sum(-1))
-        values.append(penalised(slot.rates_bps, config.task.qos_bps, config.task.qos_penalty))
+    for _ in range(task_config.slots):
+        channels = simulator.scene.channels
+        slot = simulator.step(*policy.controls(task))
+        rates.append(slot.rates_bps)
+        direct.append(channels.direct)
+        bounds.append(upper_bound(channels, simulator.clusters, radio) if bounded else np.full(scenes, np.nan))
         met.append(slot.qos_met.all(-1))
         collisions += int(slot.collisions.sum())
         clearance = min(clearance, float(slot.clearance_m.min()))
         for name in NAMES:
             violations[name] += int((~getattr(slot.constraints, name)).sum())
-    return Played(np.mean(rates, 0), np.mean(values, 0), np.mean(met, 0), collisions, clearance, violations)
+    bare = np.stack(direct)
+    bare_rates = simulator.rates(bare, best_powers(bare, simulator.clusters, radio, task_config.qos_bps))
+    return Played(
+        sum_rate_bps=np.sum(rates, -1).mean(0),
+        bare_bps=bare_rates.sum(-1).mean(0),
+        value_bps=penalised(np.stack(rates), task_config.qos_bps, task_config.qos_penalty).mean(0),
+        qos_share=np.mean(met, 0),
+        collisions=collisions,
+        clearance_m=clearance,
+        violations=violations,
+        bound_bps=np.mean(bounds, 0),
+    )
 
 
-def compare(config: Config, act: Act, scenes: int, seed: int, report: Callable[[str], None]) -> pd.DataFrame:
-    """Every variant of `VARIANTS` on the same scenes, one row each; `report` hears each variant's name first.
+def compare(
+    config: Config, act: Act, scenes: int, seed: int, report: Callable[[str], None], *, with_planner: bool = True
+) -> pd.DataFrame:
+    """The agent, its variants and its rivals on the same scenes, a row each; `report` hears each one's name first.
 
-    Scenes are paired: furniture, people's steps and fading do not depend on what the agent does. The interval of
-    the gain over no RIS is that of the paired differences. Raises `ConfigError` for fewer than two scenes.
+    Scenes are independent of each other (`radio.difference_factor` is taken as 1), and the same for every policy:
+    furniture, where people start, how they mean to step, and fading. They are not the same to the last step, for people
+    wait while a rover is in their way. The gain over no RIS is therefore judged within the slots that a policy played:
+    its sum rate against that of the best powers known for the very same direct channels, resampled together by scenes.
+
+    With the planner there are shares of its sum rate, and of the upper bound's: the mean of what no phases and powers
+    could exceed for the channels along the planner's drive. It does not bound who drives elsewhere. Raises
+    `ConfigError` for fewer than two scenes and a negative seed.
     """
     if scenes < 2:
         raise ConfigError(f"scenes: {scenes} is not allowed: an interval needs at least 2")
-    played = {}
-    for name, changes in VARIANTS.items():
-        report(name)
-        played[name] = play(replace(config, task=replace(config.task, **changes)), act, scenes, seed)
-    bare = played["no RIS"].sum_rate_bps
+    if seed < 0:
+        raise ConfigError(f"scene_seed: {seed} is not allowed: it must be at least 0")
+    policies = [*agent_policies(act), reference_controls(), no_ris()]
     rng = np.random.default_rng(seed)
-    return pd.DataFrame([_row(name, result, bare, rng) for name, result in played.items()])
+    rows = []
+    for policy in policies:
+        report(policy.name)
+        rows.append(_row(policy.name, play(config, policy, scenes, seed), rng))
+    if with_planner:
+        report("planner")
+        planned = play(config, planner(seed), scenes, seed, bounded=True)
+        rows.append(_row("planner", planned, rng))
+        rows.append(_rate_columns(_BOUND, planned.bound_bps, planned.bare_bps, rng))
+    table = pd.DataFrame(rows).astype(dict.fromkeys(_COUNTS, "Int64"))
+    if with_planner:
+        for column, row in (("percent_of_planner", -2), ("percent_of_bound", -1)):
+            table[column] = 100 * table["sum_rate_mbps"] / table["sum_rate_mbps"].iloc[row]
+    return table
 
 
-def _row(name: str, result: Played, bare: FloatArray, rng: np.random.Generator) -> dict[str, float | int | str]:
-    rate = result.sum_rate_bps
-    # Resampling whole scenes keeps the pairing, and asks for no particular distribution of the rates.
-    resampled = rng.integers(len(rate), size=(_RESAMPLES, len(rate)))
-    low, high = np.percentile(rate[resampled].mean(1), [2.5, 97.5]) / 1e6
-    gain = rate[resampled].mean(1) / bare[resampled].mean(1) - 1
-    gain_low, gain_high = 100 * np.percentile(gain, [2.5, 97.5])
+def interval(
+    statistic: Callable[..., FloatArray], *samples: FloatArray, rng: np.random.Generator
+) -> tuple[float, float]:
+    """95 % interval of a `statistic` of the means of `samples` [S], by the bootstrap: scenes are drawn together."""
+    chosen = rng.integers(len(samples[0]), size=(_RESAMPLES, len(samples[0])))
+    low, high = np.percentile(statistic(*(sample[chosen].mean(1) for sample in samples)), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def gain_percent(mean: FloatArray, bare: FloatArray) -> FloatArray:
+    """By how much one mean exceeds another [%]."""
+    return 100 * (mean / bare - 1)
+
+
+def as_text(table: pd.DataFrame) -> Table:
+    """The comparison as a table for the console, at most 120 columns wide."""
+    shares = [name for name in ("planner", "bound") if f"percent_of_{name}" in table]
+    caption = "over no RIS: against the best powers known for the same slots"
+    if shares:
+        caption += "; bound: of the slots along the planner's drive"
+    title = f"{table.scenes[0]} held-out scenes, means and 95 % intervals"
+    shown = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    shown.add_column("policy", overflow="fold")
+    for heading in (
+        "sum rate\n\\[Mb/s]",
+        "over no RIS\n\\[%]",
+        "penalised\n\\[Mb/s]",
+        "QoS\nmet",
+        *(f"% of\n{name}" for name in shares),
+        "broken\nslots",
+        "clearance\n\\[m]",
+    ):
+        shown.add_column(heading, justify="right", overflow="fold")
+    for row in table.to_dict("records"):
+        played = row["policy"] != _BOUND
+        shown.add_row(
+            row["policy"],
+            f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.2f}…{row['sum_rate_high']:.2f})",
+            f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f}…{row['gain_high']:+.1f})",
+            f"{row['penalised_mbps']:.3f}" if played else "",
+            f"{row['qos_share']:.1%}" if played else "",
+            *(f"{row[f'percent_of_{name}']:.1f}" for name in shares),
+            str(sum(row[name] for name in broken_columns())) if played else "",
+            f"{row['clearance_m']:.3f}" if played else "",
+        )
+    return shown
+
+
+def broken_columns() -> list[str]:
+    """Columns that count slots with a broken constraint; but for QoS, which has a column of its own."""
+    return [f"violated_{name}" for name in NAMES if name != "qos"]
+
+
+def _row(name: str, result: Played, rng: np.random.Generator) -> dict[str, float | int | str]:
+    return {
+        **_rate_columns(name, result.sum_rate_bps, result.bare_bps, rng),
+        "penalised_mbps": result.value_bps.mean() / 1e6,
+        "qos_share": result.qos_share.mean(),
+        "collisions": result.collisions,
+        "clearance_m": result.clearance_m,
+        **{f"violated_{constraint}": count for constraint, count in result.violations.items()},
+    }
+
+
+def _rate_columns(
+    name: str, rate: FloatArray, bare: FloatArray, rng: np.random.Generator
+) -> dict[str, float | int | str]:
+    low, high = interval(lambda mean: mean, rate / 1e6, rng=rng)
+    gain_low, gain_high = interval(gain_percent, rate, bare, rng=rng)
     return {
         "policy": name,
         "scenes": len(rate),
         "sum_rate_mbps": rate.mean() / 1e6,
         "sum_rate_low": low,
         "sum_rate_high": high,
-        "gain_percent": 100 * (rate.mean() / bare.mean() - 1),
+        "gain_percent": float(gain_percent(rate.mean(), bare.mean())),
         "gain_low": gain_low,
         "gain_high": gain_high,
-        "penalised_mbps": result.value_bps.mean() / 1e6,
-        "qos_share": result.qos_share.mean(),
-        "collisions": result.collisions,
-        "clearance_m": result.clearance_m,
-        **{f"violated_{name}": count for name, count in result.violations.items()},
     }

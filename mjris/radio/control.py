@@ -123,12 +123,13 @@ def qos_or_sum(
     bandwidth_hz: float,
     noise_w: float,
     qos_bps: float,
-    margin: float = 1.0,
+    wanted_bps: Array | None = None,
 ) -> tuple[Array, Array]:
     """Powers of the users [..., K] [W], and their rates [..., K] [bit/s], for the most in eq. (R).
 
-    Those of `qos_first_powers` for `margin` times the QoS, or for the QoS itself, where they give it to every user. If
-    not, it is missed anyhow, and only the sum counts: then the strongest user of a cluster has all of its power.
+    Those of `qos_first_powers` where they give every user its QoS: for `wanted_bps` [..., K] >= QoS if that can be had,
+    or else for the QoS itself. If not, it is missed anyhow, and only the sum counts: then the strongest user of a
+    cluster has all of its power. With "oma" every user has P/K.
     """
     xp = array_namespace(channel)
     if _is_oma(scheme):
@@ -138,7 +139,7 @@ def qos_or_sum(
     decoding = _decoding(channel, clusters, tx_power_w, noise_w)
     powers = _first_split(decoding, clusters, tx_power_w, bandwidth_hz, 0.0)
     rates = cancellation_rates(decoding.gains, powers, decoding.later, bandwidth_hz)
-    for least_bps in (qos_bps, margin * qos_bps) if margin > 1 else (qos_bps,):
+    for least_bps in (qos_bps,) if wanted_bps is None else (qos_bps, wanted_bps):
         tried = _first_split(decoding, clusters, tx_power_w, bandwidth_hz, least_bps)
         reached = cancellation_rates(decoding.gains, tried, decoding.later, bandwidth_hz)
         met = xp.all(reached >= qos_bps, axis=-1, keepdims=True)
@@ -168,28 +169,37 @@ def _decoding(
     return _Decoding(gains, later_users(resolved), sequence)
 
 
-def _first_split(decoding: _Decoding, clusters: Array, tx_power_w: float, bandwidth_hz: float, qos_bps: float) -> Array:
-    """`qos_first_split` of all clusters, powers [..., K] [W]."""
+def _first_split(
+    decoding: _Decoding, clusters: Array, tx_power_w: float, bandwidth_hz: float, qos_bps: Array
+) -> Array:
+    """`qos_first_split` of all clusters, powers [..., K] [W], for one QoS or that of every user [..., K]."""
     xp = array_namespace(decoding.gains)
-    gains = xp.take_along_axis(decodable_gains(decoding.gains, decoding.later), decoding.sequence, axis=-1)
-    gains = xp.reshape(gains, (*gains.shape[:-1], *clusters.shape))
+
+    def decoded(values: Array) -> Array:
+        in_order = xp.take_along_axis(xp.broadcast_to(values, decoding.sequence.shape), decoding.sequence, axis=-1)
+        return xp.reshape(in_order, (*in_order.shape[:-1], *clusters.shape))
+
+    gains = decoded(decodable_gains(decoding.gains, decoding.later))
     budgets = xp.full_like(gains[..., 0], tx_power_w / clusters.shape[0])
-    powers = xp.reshape(qos_first_split(gains, budgets, bandwidth_hz, qos_bps), decoding.sequence.shape)
+    least = decoded(xp.asarray(qos_bps, dtype=gains.dtype, device=device(gains)))
+    powers = xp.reshape(qos_first_split(gains, budgets, bandwidth_hz, least), decoding.sequence.shape)
     return xp.take_along_axis(powers, xp.argsort(decoding.sequence, axis=-1), axis=-1)
 
 
-def qos_first_split(gains: Array, budget_w: Array, bandwidth_hz: float, qos_bps: float) -> Array:
+def qos_first_split(gains: Array, budget_w: Array, bandwidth_hz: float, qos_bps: Array) -> Array:
     """How a cluster's users share its power, [..., K/V] [W], for effective gains [..., K/V] [1/W] in decoding order.
 
-    `budget_w` [...] [W] is what the cluster spends. See `qos_first_powers`, which applies it to all clusters.
+    `budget_w` [...] [W] is what the cluster spends, `qos_bps` one number or [..., K/V]. See `qos_first_powers`, which
+    applies it to all clusters.
     """
     xp = array_namespace(gains)
+    qos = xp.broadcast_to(xp.asarray(qos_bps, dtype=gains.dtype, device=device(gains)), gains.shape)
     # t/(1+t) = 1 - 2^(-R/B), a hair above it so that rounding never leaves a rate below its QoS.
-    needed = -math.expm1(-math.log(2) * qos_bps / bandwidth_hz) * (1 + 1e-12)
+    needed = -xp.expm1(-math.log(2) / bandwidth_hz * qos) * (1 + 1e-12)
     left = xp.broadcast_to(budget_w, gains.shape[:-1])
     powers = []
     for position in range(gains.shape[-1] - 1):
-        wanted = needed * (left + 1 / gains[..., position])
+        wanted = needed[..., position] * (left + 1 / gains[..., position])
         power = xp.where(wanted <= left, wanted, 0.0)
         left = left - power
         powers.append(power)

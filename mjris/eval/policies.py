@@ -1,0 +1,90 @@
+"""What is put on trial: an agent and its variants, and rivals that need no learning."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.eval.optimum import best_known, best_powers
+from mjris.radiomap import best_goals
+from mjris.simulator import Simulator
+from mjris.task import Task
+
+FloatArray = NDArray[np.floating]
+
+Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
+"""Actions [E, A] for observations [E, D]."""
+Controls = tuple[FloatArray, FloatArray, FloatArray]
+"""Displacement [E, 2] [m], phases [E, N] [rad] and powers [E, K] [W]."""
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What decides in every slot, and what it changes in the task that it plays."""
+
+    name: str
+    controls: Callable[[Task], Controls]
+    """What to do in the present slot; called once a slot."""
+    changes: Mapping[str, str]
+    """Fields of the config's task."""
+
+
+def agent_policies(act: Act) -> list[Policy]:
+    """The agent as it is, and with its driving, its phases or the whole RIS taken away."""
+
+    def controls(task: Task) -> Controls:
+        return task.decode(np.asarray(act(task.observe()), np.float64))
+
+    return [
+        Policy("learned", controls, {"ris": "mobile", "phases": "learned"}),
+        Policy("fixed RIS", controls, {"ris": "fixed", "phases": "learned"}),
+        Policy("random phases", controls, {"ris": "mobile", "phases": "random"}),
+        Policy("no RIS", controls, {"ris": "none", "phases": "learned"}),
+    ]
+
+
+def reference_controls() -> Policy:
+    """Action zero: what the task's closed forms do by themselves, so that the rest is what learning adds."""
+
+    def controls(task: Task) -> Controls:
+        return task.decode(np.zeros((task.simulator.num_cells, task.action_size)))
+
+    return Policy("reference controls", controls, {"ris": "mobile", "phases": "learned"})
+
+
+def no_ris() -> Policy:
+    """No RIS, and the best powers known."""
+
+    def controls(task: Task) -> Controls:
+        config, simulator = task.config, task.simulator
+        powers = best_powers(simulator.scene.channels.direct, simulator.clusters, config.radio, config.task.qos_bps)
+        return parked(simulator), np.zeros((simulator.num_cells, config.radio.num_elements)), powers
+
+    return Policy("no RIS, best powers", controls, {"ris": "none"})
+
+
+def planner(seed: int) -> Policy:
+    """The planner's drive, and the best phases and powers known in every slot; random starts follow from `seed`.
+
+    They are the best for users decoded in the order of the slot's gains, and may not be with a static order.
+    """
+    rng = np.random.default_rng(seed)
+
+    def controls(task: Task) -> Controls:
+        config, simulator = task.config, task.simulator
+        best = best_known(simulator.scene.channels, simulator.clusters, config.radio, config.task.qos_bps, rng)
+        return planned(simulator), best.phases_rad, best.powers_w
+
+    return Policy("planner", controls, {"ris": "mobile"})
+
+
+def planned(simulator: Simulator) -> FloatArray:
+    """Displacement [E, 2] [m] toward the place that promises most over the next slots, see `best_goals`."""
+    goal, _ = best_goals(simulator)
+    return simulator.world.way_toward(goal)
+
+
+def parked(simulator: Simulator) -> FloatArray:
+    """No displacement, [E, 2] [m]."""
+    return np.zeros((simulator.num_cells, 2))

@@ -1,0 +1,195 @@
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from mjris.cli import _print_table, main
+from mjris.config import Config, ConfigError, Radio, Task, World, preset
+from mjris.eval.bound import upper_bound
+from mjris.eval.evaluate import compare, gain_percent, interval, play
+from mjris.eval.optimum import best_known, best_powers
+from mjris.eval.policies import no_ris, planned, planner, reference_controls
+from mjris.simulator import Simulator
+from mjris.task import Task as Agents
+
+SCENES, SLOTS, SEED = 4, 3, 5
+POLICIES = [
+    *("learned", "fixed RIS", "random phases", "no RIS", "reference controls", "no RIS, best powers"),
+    *("planner", "upper bound"),
+]
+
+
+def config(**radio) -> Config:
+    office = preset("office")
+    return replace(
+        office,
+        world=replace(office.world, layout="clinic"),
+        radio=replace(office.radio, **radio),
+        task=replace(office.task, slots=SLOTS),
+    )
+
+
+def random_actions(made: Config):
+    rng, size = np.random.default_rng(0), Agents(made).action_size
+    return lambda observation: rng.uniform(-1, 1, (len(observation), size))
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    return compare(config(), random_actions(config()), SCENES, SEED, lambda _: None)
+
+
+def test_a_row_for_every_policy_and_the_bound(table):
+    assert table["policy"].tolist() == POLICIES
+    assert (table["scenes"] == SCENES).all()
+
+
+def test_shares_are_those_of_the_planner_and_of_the_bound(table):
+    rate = table.set_index("policy")["sum_rate_mbps"]
+    np.testing.assert_allclose(table["percent_of_planner"], 100 * rate / rate["planner"])
+    np.testing.assert_allclose(table["percent_of_bound"], 100 * rate / rate["upper bound"])
+    assert rate["planner"] < rate["upper bound"]
+
+
+def test_the_bound_has_only_rates(table):
+    bound = table.iloc[-1]
+    assert bound[["penalised_mbps", "qos_share", "collisions", "clearance_m", "violated_power"]].isna().all()
+    assert table.iloc[:-1].notna().all(axis=None)
+
+
+def test_the_best_powers_without_ris_are_what_gains_are_judged_against(table):
+    row = table.set_index("policy").loc["no RIS, best powers"]
+    np.testing.assert_allclose(row[["gain_percent", "gain_low", "gain_high"]].to_numpy(float), 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_the_planner_is_its_drive_with_the_best_phases_and_powers(scheme):
+    """Against a loop over the simulator."""
+    made = config(scheme=scheme)
+    result = play(made, planner(SEED), SCENES, SEED, bounded=True)
+    radio = replace(made.radio, difference_factor=1.0)
+    simulator, rng = Simulator(replace(made, radio=radio), SCENES), np.random.default_rng(SEED)
+    simulator.seed(SEED)
+    simulator.reset()
+    rates, bounds, bare = [], [], []
+    for _ in range(SLOTS):
+        channels, clusters = simulator.scene.channels, simulator.clusters
+        best = best_known(channels, clusters, radio, made.task.qos_bps, rng)
+        powers = best_powers(channels.direct, clusters, radio, made.task.qos_bps)
+        bare.append(simulator.rates(channels.direct, powers).sum(-1))
+        bounds.append(upper_bound(channels, clusters, radio))
+        rates.append(best.rates_bps)
+        simulator.step(planned(simulator), best.phases_rad, best.powers_w)
+    met = (np.array(rates) >= made.task.qos_bps).all(-1)
+    total = np.sum(rates, -1)
+    np.testing.assert_allclose(result.sum_rate_bps, total.mean(0), rtol=1e-9)
+    np.testing.assert_allclose(result.value_bps, np.where(met, total, total / 2).mean(0), rtol=1e-9)
+    np.testing.assert_allclose(result.qos_share, met.mean(0))
+    np.testing.assert_allclose(result.bound_bps, np.mean(bounds, 0), rtol=1e-9)
+    np.testing.assert_allclose(result.bare_bps, np.mean(bare, 0), rtol=1e-9)
+    assert (result.bound_bps > result.sum_rate_bps).all()
+    assert result.sum_rate_bps.mean() > result.bare_bps.mean()
+
+
+def test_action_zero_beats_random_actions_and_no_ris(table):
+    rate = table.set_index("policy")["penalised_mbps"]
+    assert rate["reference controls"] > rate["learned"]
+    assert rate["reference controls"] > rate["no RIS, best powers"]
+
+
+def test_action_zero_of_the_paper_stands_still_without_phases():
+    made = replace(preset("paper"), world=replace(config().world), task=Task(slots=2))
+    agents = Agents(made, SCENES)
+    move, phases, powers = reference_controls().controls(agents)
+    assert not move.any()
+    assert not phases.any()
+    np.testing.assert_allclose(powers, made.radio.tx_power_w / made.world.num_users)
+
+
+def test_scenes_have_fading_of_their_own_whatever_the_config_says():
+    shared, own = (play(config(difference_factor=factor), no_ris(), SCENES, SEED) for factor in (0.0, 1.0))
+    np.testing.assert_array_equal(shared.sum_rate_bps, own.sum_rate_bps)
+
+
+def test_scenes_are_the_same_for_all_who_stand_still():
+    made = config()
+    rivals = [
+        play(made, replace(reference_controls(), changes={"ris": ris}), SCENES, SEED) for ris in ("fixed", "none")
+    ]
+    np.testing.assert_array_equal(rivals[0].bare_bps, rivals[1].bare_bps)
+    np.testing.assert_array_equal(rivals[0].bare_bps, play(made, no_ris(), SCENES, SEED).bare_bps)
+
+
+def test_intervals_are_those_of_the_normal_distribution_for_many_scenes():
+    rng = np.random.default_rng(1)
+    values = rng.normal(3.0, 2.0, 1000)
+    low, high = interval(lambda mean: mean, values, rng=rng)
+    half = 1.96 * values.std() / np.sqrt(len(values))
+    np.testing.assert_allclose([low, high], [values.mean() - half, values.mean() + half], atol=0.1 * half)
+
+
+def test_scenes_are_resampled_together():
+    rng = np.random.default_rng(2)
+    bare = rng.uniform(0.1, 9.0, 50)
+    np.testing.assert_allclose(interval(gain_percent, 1.25 * bare, bare, rng=rng), (25, 25))
+    low, high = interval(gain_percent, 1.25 * rng.permutation(bare), bare, rng=rng)
+    assert low < 10 < 40 < high
+
+
+@pytest.mark.parametrize(
+    ("scenes", "seed", "sentence"),
+    [
+        (1, 0, "scenes: 1 is not allowed: an interval needs at least 2"),
+        (2, -1, "scene_seed: -1 is not allowed: it must be at least 0"),
+    ],
+)
+def test_bad_input_is_one_sentence(scenes, seed, sentence):
+    with pytest.raises(ConfigError) as error:
+        compare(config(), lambda observation: observation, scenes, seed, lambda _: None)
+    assert str(error.value) == sentence
+
+
+def test_the_printed_table_has_a_line_a_policy_in_120_columns(table):
+    console = Console(record=True, width=120)
+    _print_table(console, table)
+    lines = [line.strip() for line in console.export_text().splitlines()]
+    rows = table.to_dict("records")
+    for row in rows:
+        (line,) = [line for line in lines if line.startswith(f"{row['policy']}  ")]
+        assert f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f}…{row['gain_high']:+.1f})" in line
+        assert f"{row['percent_of_planner']:.1f}" in line
+
+
+def test_the_evaluation_counts_the_slots_that_break_a_constraint():
+    slots, scenes = 6, 8
+    task = Task(slots=slots, power_reference="qos")
+    static = Config(world=World(drive="kinematic"), radio=Radio(decoding_order="static"), task=task)
+    size = Agents(static).action_size
+
+    def still(observation: np.ndarray) -> np.ndarray:
+        return np.zeros((len(observation), size))
+
+    table = compare(static, still, scenes, 5, lambda _: None, with_planner=False)
+    for name in ("in_room", "power", "collision_free"):
+        assert table[f"violated_{name}"].tolist() == [0] * 6
+    assert table["violated_decoding_order"].between(1, slots * scenes - 1).all()
+    np.testing.assert_allclose(table["violated_qos"].astype(int), slots * scenes * (1 - table["qos_share"]))
+    console = Console(record=True, width=80)
+    _print_table(console, table)
+    for policy, count in zip(table["policy"], table["violated_decoding_order"], strict=True):
+        assert f"{policy}: slots that broke a constraint: decoding_order {count}" in console.export_text(clear=False)
+    dynamic = compare(replace(static, radio=Radio()), still, scenes, 5, lambda _: None, with_planner=False)
+    assert dynamic["violated_decoding_order"].tolist() == [0] * 6
+
+
+def test_the_command_writes_the_table_of_a_trained_run(tmp_path, capsys):
+    run = tmp_path / "run"
+    flags = ["--world.layout", "clinic", "--task.slots", "3", "--agent.warmup-slots", "0"]
+    main(["train", "--out", str(run), *flags, "--federation.num-cells", "1", "--federation.episodes", "1"])
+    main(["evaluate", "--run", str(run), "--scenes", "2", "--no-planner"])
+    table = pd.read_csv(run / "evaluation.csv")
+    assert table["policy"].tolist() == POLICIES[:-2]
+    assert not [name for name in table.columns if name.startswith("percent_of")]
+    assert "2 held-out scenes" in capsys.readouterr().out
