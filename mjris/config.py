@@ -72,8 +72,9 @@ class World:
     """Height of the users' receivers [m]."""
     panel_height_m: Annotated[float, Field(ge=0.6, le=2.2)] = 1.5
     """Height of the panel's centre [m]."""
-    pan: Literal["auto", "locked"] = "auto"
-    """auto: the mast turns the panel to the bisector of AP and users; locked: it faces the rover's front."""
+    pan: Literal["auto", "action", "locked"] = "auto"
+    """auto: the mast turns the panel to the bisector of AP and users; action: one more action turns it from there;
+    locked: it faces the rover's front."""
     body_blockage: bool = False
     """Whether people's bodies block links (never the link to their own receiver)."""
 

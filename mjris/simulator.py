@@ -39,6 +39,19 @@ class Scene:
     """h_d [E, K, M], G [E, N, M], h_r [E, K, N]."""
 
 
+class Controls(NamedTuple):
+    """What is decided in a slot, in E cells."""
+
+    displacement_m: FloatArray
+    """[E, 2] [m]"""
+    phases_rad: FloatArray
+    """[E, N] [rad]"""
+    powers_w: FloatArray
+    """[E, K] [W]"""
+    pan_rad: FloatArray | None = None
+    """By how much panels are turned from the bisector of AP and users [E] [rad]; None is not at all."""
+
+
 @dataclass(frozen=True)
 class Slot:
     """What a slot gave, and the scene that the next one begins with."""
@@ -128,17 +141,21 @@ class Simulator:
         self._diffuse[cells] = self._draw_diffuse(cells)
         self._fresh[cells] = True
         self.resets, self.slots = self.resets + 1, 0
-        self._face_panels()
-        self.scene = self._observe()
-        return self.scene
+        return self.look()
 
     def random_phases(self) -> FloatArray:
         """Uniform phases from each cell's stream for them [E, N] [rad]."""
         n = self.config.radio.num_elements
         return np.stack([streams.phases.uniform(-np.pi, np.pi, n) for streams in self._streams])
 
-    def step(self, displacement_m: FloatArray, phases_rad: FloatArray, powers_w: FloatArray) -> Slot:
-        """Transmit over the present channel, then move: [E, 2] [m], [E, N] [rad], [E, K] [W]."""
+    def step(
+        self,
+        displacement_m: FloatArray,
+        phases_rad: FloatArray,
+        powers_w: FloatArray,
+        pan_rad: FloatArray | None = None,
+    ) -> Slot:
+        """Transmit over the present channel, then move and turn the panels: see `Controls`."""
         effective = self.effective_channel(phases_rad)
         order = self._decoding_order(effective, powers_w)
         rates = self.rates(effective, powers_w, order)
@@ -148,7 +165,7 @@ class Simulator:
         before = self.world.fleet.xy
         walk, direction = self._draw_steps()
         motion = self.world.move(displacement_m, walk, direction)
-        self._face_panels()
+        self._face_panels(pan_rad)
         if self.config.radio.fading_memory < 1:
             fresh = self._draw_diffuse(np.arange(self.num_cells))
             self._diffuse = propagation.evolve(self._diffuse, fresh, self.config.radio.fading_memory)
@@ -233,9 +250,16 @@ class Simulator:
         middle = toward_ap + toward_users
         return np.arctan2(middle[..., 1], middle[..., 0])
 
-    def _face_panels(self) -> None:
-        if self.config.world.pan == "auto":
-            self.world.fleet.face(self.bisector(self.world.fleet.xy[:, None])[:, 0])
+    def _face_panels(self, pan_rad: FloatArray | None = None) -> None:
+        if self.config.world.pan != "locked":
+            offset = np.zeros(self.num_cells) if pan_rad is None else pan_rad
+            self.world.fleet.face(self.bisector(self.world.fleet.xy[:, None])[:, 0] + offset)
+
+    def look(self) -> Scene:
+        """See the scene anew after rovers or people were placed by hand, the panels turned to their bisectors."""
+        self._face_panels()
+        self.scene = self._observe()
+        return self.scene
 
     def _observe(self) -> Scene:
         """Sight, path losses and channels at the present positions."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mjris.config import Config
 from mjris.radio import control
 from mjris.radiomap import best_goals, penalised, place_values
-from mjris.simulator import Simulator, Slot
+from mjris.simulator import Controls, Simulator, Slot
 
 FloatArray = NDArray[np.floating]
 
@@ -36,7 +36,7 @@ class Outcome:
 class Task:
     """The agents' side of a simulator with E cells.
 
-    An action [E, 2 + N + K], or [E, 2 + K + K], in [-1, 1] is motion, phases and powers; see `decode` for each.
+    An action in [-1, 1] is motion (2), phases (N, or K weights), powers (K) and perhaps pan (1); see `decode`.
     """
 
     def __init__(self, config: Config, num_cells: int = 1, first_cell: int = 0):
@@ -44,7 +44,8 @@ class Task:
         self.simulator = Simulator(config, num_cells, first_cell)
         users = config.world.num_users
         self._num_phases = config.radio.num_elements if config.task.phase_control == "elements" else users
-        self.action_size = 2 + self._num_phases + users
+        self._pans = config.world.pan == "action"
+        self.action_size = 2 + self._num_phases + users + self._pans
         room = [self.simulator.world.office(e).layout.room.size[:2] for e in range(num_cells)]
         self._half_room = np.array(room) / 2
         self._reach_m = config.world.max_speed_mps * config.world.slot_s
@@ -56,6 +57,7 @@ class Task:
             (2, config.task.motion == "goal"),
             (self._num_phases, config.task.phase_control == "weights"),
             (users, config.task.power_reference == "qos"),
+            (int(self._pans), True),
         ]
         self._corrections = np.concatenate([np.full(size, is_one) for size, is_one in kinds])
         """Which entries of an action correct a closed form, [A]."""
@@ -80,18 +82,22 @@ class Task:
         corrections = np.clip(np.asarray(action, np.float64), -1, 1)[:, self._corrections]
         return self.config.task.effort_cost * (corrections**2).sum(-1) / max(1, corrections.shape[1])
 
-    def decode(self, action: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Displacement [E, 2] [m], phases [E, N] [rad] and powers [E, K] [W] of actions [E, A].
+    def decode(self, action: FloatArray) -> Controls:
+        """What actions [E, A] command.
 
         Motion is a point of the disc that the rover can reach in a slot; or a way toward the radio map's goal, moved
         by up to 4 m, with fine control of small moves. Phases are π times the action; or the closed-form alignment for
         user weights of 10 to the power of it. Powers are shares of what a user may have, (1 + a)/2; or the closed-form
         ones for least rates of 1 + `qos_headroom` (1 + a)/2 times the QoS. Neither exceeds the budget.
+        Pan is π times the action, from the bisector of AP and users.
         """
         action = np.clip(np.asarray(action, np.float64), -1, 1)
-        move, phases, powers = np.split(action, [2, 2 + self._num_phases], axis=-1)
+        phases_end = 2 + self._num_phases
+        ends = [2, phases_end, phases_end + self.config.world.num_users]
+        move, phases, powers, pan = np.split(action, ends, axis=-1)
         phases_rad = self._phases(phases)
-        return self._displacement(move), phases_rad, self._powers(powers, phases_rad)
+        pan_rad = np.pi * pan[:, 0] if self._pans else None
+        return Controls(self._displacement(move), phases_rad, self._powers(powers, phases_rad), pan_rad)
 
     def observe(self) -> NDArray[np.float32]:
         """Observations of the present scene [E, D], every entry of order one."""

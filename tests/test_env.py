@@ -142,7 +142,7 @@ def test_power_and_displacement_never_exceed_their_budgets(seed, scale, signs):
     action = np.random.default_rng(seed).uniform(-scale, scale, (1, TASK.action_size))
     action = np.sign(action) if signs else action
     for task in (TASK, *QOS_TASKS):
-        move, phases, powers = task.decode(action[:, : task.action_size])
+        move, phases, powers, _ = task.decode(action[:, : task.action_size])
         radio = task.config.radio
         budget = radio.tx_power_w * (1 + 1e-12)
         assert (powers >= 0).all()
@@ -160,7 +160,7 @@ def test_plain_actions_mean_what_they_say():
     action[0, :2] = 0.6, -0.8
     action[0, 2:18] = np.linspace(-1, 1, 16)
     action[0, 18:] = 0.0, -0.5, -1.0, 1.0
-    move, phases, powers = TASK.decode(action)
+    move, phases, powers, _ = TASK.decode(action)
     np.testing.assert_allclose(move, [[0.3, -0.4]])
     np.testing.assert_allclose(phases[0], np.pi * np.linspace(-1, 1, 16))
     np.testing.assert_allclose(powers[0], [0.05 * 0.5, 0.05 * 0.25, 0, 0.05])
@@ -186,13 +186,24 @@ def test_waypoints_are_moved_from_the_goal_of_the_map():
     assert np.median(np.linalg.norm(simulator.scene.rover_xy - (10.0, 3.0), axis=-1)) < 4
 
 
+def test_pan_is_one_more_action_from_the_bisector():
+    task = Task(changed(OFFICE, pan="action"), num_cells=4)
+    assert task.action_size == 11
+    action = np.zeros((4, 11))
+    action[:, -1] = -0.5, 0, 0.25, 1
+    task.step(action)
+    simulator = task.simulator
+    turned = simulator.scene.panel_heading - simulator.bisector(simulator.world.fleet.xy[:, None])[:, 0]
+    np.testing.assert_allclose(np.exp(1j * turned), np.exp(1j * np.pi * action[:, -1]), atol=1e-9)
+
+
 def test_no_power_action_costs_a_user_its_qos():
     task = Task(OFFICE, num_cells=32)
     simulator = task.simulator
     rng = np.random.default_rng(3)
     served = 0
     for _ in range(10):
-        _, phases, powers = task.decode(rng.uniform(-1.0, 1.0, (32, task.action_size)))
+        _, phases, powers, _ = task.decode(rng.uniform(-1.0, 1.0, (32, task.action_size)))
         effective = simulator.effective_channel(phases)
         _, best = simulator.reference_powers(effective)
         possible = (best >= OFFICE.task.qos_bps).all(-1)
@@ -206,7 +217,7 @@ def test_no_power_action_costs_a_user_its_qos():
 def test_action_zero_is_the_closed_forms(scheme):
     task = Task(changed(OFFICE, scheme=scheme), num_cells=3)
     simulator, radio = task.simulator, task.config.radio
-    move, phases, powers = task.decode(np.zeros((3, task.action_size)))
+    move, phases, powers, _ = task.decode(np.zeros((3, task.action_size)))
     np.testing.assert_array_equal(move, simulator.world.way_toward(best_goals(simulator)[0]))
     budget = simulator.clusters, scheme, radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, task.config.task.qos_bps
     aligned = control.qos_aligned_phases(simulator.scene.channels, *budget)

@@ -16,7 +16,7 @@ from mjris.env import OfficeEnv
 from mjris.learn.agent import build_agent
 from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
 from mjris.learn.stacked import Results, StackedRuns
-from mjris.learn.workers import open_cells
+from mjris.learn.workers import check_device, open_cells
 
 Report = Callable[[list[EpisodeMetrics]], None]
 """Is called after every round with the metrics of its episodes."""
@@ -26,18 +26,22 @@ def _silent(metrics: list[EpisodeMetrics]) -> None:
     """Report nothing."""
 
 
-def train(config: Config, out: Path, *, report: Report = _silent, make_env: EnvFactory = OfficeEnv) -> None:
+def train(
+    config: Config, out: Path, *, report: Report = _silent, make_env: EnvFactory = OfficeEnv, device: str = "cpu"
+) -> None:
     """Train all cells of `config` and write the run folder `out`.
 
     The folder gets config.json first and, after every round, the episodes' rows in metrics.csv and
     checkpoints/round_NNNN/cell_U.zip, which hold the averaged agents where there is averaging; tensorboard/cell_U
-    follows while training. Raises `ConfigError` where `out` exists and is not an empty folder.
+    follows while training. Stacked agents learn on `device`, "cpu" or "cuda". Raises `ConfigError` where `out` exists
+    and is not an empty folder, or `device` cannot be used.
     """
     _check_new(out)
     # What is wrong with the layout or the task shows here, before anything is written.
     make_env(config, 0).close()
+    check_device(config, make_env, device)
     _begin_folder(config, out)
-    with closing(open_cells(config, make_env, out / "tensorboard")) as cells:
+    with closing(open_cells(config, make_env, out / "tensorboard", device)) as cells:
         merged = None
         for round_ in range(1, num_rounds(config) + 1):
             results = cells.train(round_, merged)

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3 import DDPG
-from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
@@ -30,18 +29,19 @@ from mjris.learn.federation import (
     learning_seed,
     record_episode,
 )
-from mjris.learn.stack import Batch, StackedDDPG
+from mjris.learn.replay import ReplayMemory
+from mjris.learn.stack import Lanes, num_lanes
 
 FloatArray = NDArray[np.floating]
-Results = list[tuple[State, list[EpisodeMetrics]]]
+Results = Sequence[tuple[State, list[EpisodeMetrics]]]
 """What `Cell.train` returns, of every cell."""
 
 
 class StackedCells:
     """All cells of one run, in lockstep in this process."""
 
-    def __init__(self, config: Config, make_env: EnvFactory, log_dir: Path | None):
-        self._runs = StackedRuns([config], make_env, [log_dir])
+    def __init__(self, config: Config, make_env: EnvFactory, log_dir: Path | None, device: str = "cpu"):
+        self._runs = StackedRuns([config], make_env, [log_dir], device)
 
     def train(self, round_: int, params: State | None) -> Results:
         """`Cell.train` of every cell."""
@@ -72,7 +72,7 @@ class StackedRuns:
         log_dirs: Sequence[Path | None],
         device: str = "cpu",
     ):
-        torch.set_num_threads(1)
+        torch.set_num_threads(1)  # the cores are for the lanes
         self._configs, self._make_env = configs, make_env
         self._config = configs[0]
         self._envs = [_side_by_side(config, make_env) for config in configs]
@@ -84,7 +84,8 @@ class StackedRuns:
         for (g, u), agent in zip(self._members, self._agents, strict=True):
             if (log_dir := log_dirs[g]) is not None:
                 agent.set_logger(configure(str(log_dir / f"cell_{u}"), ["tensorboard"]))
-        self._learner = StackedDDPG(self._agents, device)
+        self._policy = self._agents[0].policy
+        self._learner = Lanes(self._agents, device, num_lanes(len(self._agents), device))
         self._memory = ReplayMemory(self._agents, self._config.federation.episodes * self._config.task.slots, device)
         self._slots = 0
         self._updates = 0
@@ -115,7 +116,8 @@ class StackedRuns:
         return agent
 
     def close(self) -> None:
-        """Release the environments and the TensorBoard files."""
+        """Release the environments, the TensorBoard files and the threads."""
+        self._learner.close()
         for agent in self._agents:
             agent.logger.close()
         for env in self._envs:
@@ -129,9 +131,9 @@ class StackedRuns:
 
     def _train(self, round_: int, params: Sequence[State | None]) -> list[Results]:
         cells = self._config.federation.num_cells
-        for g, state in enumerate(params):
-            if state is not None:
-                self._learner.load(slice(g * cells, (g + 1) * cells), state)
+        for index, (g, _) in enumerate(self._members):
+            if (state := params[g]) is not None:
+                self._learner.load(index, state)
         for config, env in zip(self._configs, self._envs, strict=True):
             env.seed(environment_seed(config, round_))
         self._observations = np.concatenate([_array(env.reset()) for env in self._envs])
@@ -140,20 +142,18 @@ class StackedRuns:
             for agent, (g, u) in zip(self._agents, self._members, strict=True)
         ]
         episodes = [self._episode(round_, episode, generators) for episode in episodes_of(self._config, round_)]
-        results = [
+        results: Results = [
             (self._learner.state(index), [metrics[index] for metrics in episodes]) for index in range(len(self._agents))
         ]
         return [results[g * cells : (g + 1) * cells] for g in range(len(self._configs))]
 
-    def _episode(
-        self, round_: int, episode: int, generators: Sequence[np.random.RandomState]
-    ) -> list[EpisodeMetrics]:
+    def _episode(self, round_: int, episode: int, generators: Sequence[np.random.RandomState]) -> list[EpisodeMetrics]:
         """Play and learn one episode in every cell; its metrics, one of each agent."""
         slots = self._config.task.slots
         draws = self._draw(generators)
         rewards, infos, losses = [], [], None
         for slot in range(slots):
-            actions = np.clip(self._act(draws, slot) + draws.noise[slot], -1, 1)
+            actions = np.clip(self._policy.scale_action(self._act(draws, slot)) + draws.noise[slot], -1, 1)
             reward, info = self._step(actions, last=slot + 1 == slots)
             rewards.append(reward)
             infos.append(info)
@@ -187,13 +187,14 @@ class StackedRuns:
         return _Draws(np.stack(random, 1), np.stack(noise, 1), np.stack(rows, 1))
 
     def _act(self, draws: "_Draws", slot: int) -> FloatArray:
+        """Actions [A, n] in the units of the environment, before noise."""
         if slot < len(draws.actions):
             return draws.actions[slot]
-        return self._learner.act(torch.as_tensor(self._observations)).numpy()
+        return self._policy.unscale_action(self._learner.act(torch.as_tensor(self._observations)).numpy())
 
     def _step(self, actions: FloatArray, last: bool) -> tuple[FloatArray, list[dict[str, Any]]]:
-        """Play one slot in every cell and remember it: rewards [A] and infos."""
-        shares = np.split(actions, len(self._envs))
+        """Play one slot in every cell, with actions scaled to [-1, 1], and remember it: rewards [A] and infos."""
+        shares = np.split(self._policy.unscale_action(actions), len(self._envs))
         steps = [env.step(share) for env, share in zip(self._envs, shares, strict=True)]
         observations, reward, done = (np.concatenate([_array(step[i]) for step in steps]) for i in range(3))
         infos = [info for step in steps for info in step[3]]
@@ -204,51 +205,6 @@ class StackedRuns:
         self._observations = observations
         self._slots += 1
         return reward, infos
-
-
-class ReplayMemory:
-    """The last transitions of every agent, one ring of float32 rows [A, capacity, ...].
-
-    The ring is as long as the agents' own buffers, or as the run where that is shorter.
-    """
-
-    def __init__(self, agents: Sequence[DDPG], run_slots: int, device: str):
-        first = agents[0]
-        observations, actions = (int(np.prod(space.shape or ())) for space in (first.observation_space, first.action_space))
-        self.capacity = min(first.buffer_size, run_slots)
-        self._widths = [observations, actions, 1, observations]
-        rows = np.zeros((len(agents), self.capacity, sum(self._widths)), np.float32)
-        self._rows = torch.from_numpy(rows).to(device)
-        self._ends = np.zeros(self.capacity, np.bool_)
-        self._offsets = torch.arange(len(agents), device=device)[:, None] * self.capacity
-        self._added = 0
-
-    def add(
-        self, observations: FloatArray, actions: FloatArray, rewards: FloatArray, following: FloatArray, last: bool
-    ) -> None:
-        """Remember one slot of every agent: [A, D], [A, n], [A], [A, D]; `last` is the end of an episode."""
-        place = self._added % self.capacity
-        row = np.concatenate([observations, actions, rewards[:, None], following], 1)
-        self._rows[:, place] = torch.from_numpy(row).to(self._rows.device)
-        self._ends[place] = last
-        self._added += 1
-
-    def batch(self, places: NDArray[np.int64]) -> Batch:
-        """The transitions at `places` [A, B] of each agent's ring."""
-        flat = torch.from_numpy(places).to(self._rows.device) + self._offsets
-        picked = self._rows.flatten(0, 1).index_select(0, flat.flatten())
-        return Batch(*picked.view(*places.shape, -1).split(self._widths, -1))
-
-    def store(self, index: int, buffer: ReplayBuffer) -> None:
-        """Write what an agent remembers to an empty SB3 buffer."""
-        filled = min(self._added, self.capacity)
-        parts = self._rows[index, :filled].cpu().split(self._widths, -1)
-        names = ("observations", "actions", "rewards", "next_observations")
-        for name, part in zip(names, parts, strict=True):
-            getattr(buffer, name)[:filled] = part.numpy().reshape(getattr(buffer, name)[:filled].shape)
-        # Episodes end by truncation only.
-        buffer.dones[:filled, 0] = buffer.timeouts[:filled, 0] = self._ends[:filled]
-        buffer.pos, buffer.full = self._added % buffer.buffer_size, self._added >= buffer.buffer_size
 
 
 class _Draws(NamedTuple):
@@ -293,7 +249,9 @@ def _check_equal(configs: Sequence[Config], envs: Sequence[VecEnv]) -> None:
         if config.agent != first.agent or config.federation != first.federation:
             raise ConfigError("configs: runs of one stack must have the same agent and federation sections")
         if config.task.slots != first.task.slots:
-            raise ConfigError(f"task.slots: {config.task.slots} is not allowed: the stack's first run has {first.task.slots}")
+            raise ConfigError(
+                f"task.slots: {config.task.slots} is not allowed: the stack's first run has {first.task.slots}"
+            )
         if (env.observation_space.shape, env.action_space.shape) != shapes:
             raise ConfigError("configs: runs of one stack must have observations and actions of the same sizes")
 

@@ -13,10 +13,10 @@ from typing import Literal, Protocol, TypeVar
 import numpy as np
 import torch
 
-from mjris.config import Config
+from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv
 from mjris.learn.federation import Cell, EnvFactory, EpisodeMetrics, State
-from mjris.learn.stacked import StackedCells
+from mjris.learn.stacked import Results, StackedCells
 
 T = TypeVar("T")
 Arrays = Mapping[str, np.ndarray]
@@ -30,7 +30,7 @@ _STACK_GAIN = 3
 class Cells(Protocol):
     """All cells of a run."""
 
-    def train(self, round_: int, params: State | None) -> list[tuple[State, list[EpisodeMetrics]]]:
+    def train(self, round_: int, params: State | None) -> Results:
         """`Cell.train` of every cell, in the order of the cells."""
         ...
 
@@ -63,18 +63,27 @@ def describe(config: Config) -> str:
     return f"{cells} cells learn in {workers} worker processes"
 
 
+def check_device(config: Config, make_env: EnvFactory, device: str) -> None:
+    """Raise `ConfigError` for a device that is not there, or that the cells of `config` have no use for."""
+    if device != "cpu" and backend(config, make_env) != "stacked":
+        raise ConfigError(f"device: {device!r} is not allowed: only a stack of agents learns elsewhere than on the CPU")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device: 'cuda' is not allowed: torch finds none here")
+
+
 def num_workers(config: Config) -> int:
     """Worker processes of the processes backend."""
     return min(config.federation.workers or os.cpu_count() or 1, config.federation.num_cells)
 
 
-def open_cells(config: Config, make_env: EnvFactory, log_dir: Path | None = None) -> Cells:
+def open_cells(config: Config, make_env: EnvFactory, log_dir: Path | None = None, device: str = "cpu") -> Cells:
     """The cells of `config`, stacked in this process, or cell by cell in it or in workers, as `federation` says.
 
-    `make_env` must be importable by name where there are workers. With `log_dir`, cell u logs to cell_u in it.
+    `make_env` must be importable by name where there are workers. With `log_dir`, cell u logs to cell_u in it. The
+    agents of a stack learn on `device`.
     """
     if backend(config, make_env) == "stacked":
-        return StackedCells(config, make_env, log_dir)
+        return StackedCells(config, make_env, log_dir, device)
     if num_workers(config) == 1:
         return LocalCells(config, range(config.federation.num_cells), make_env, log_dir)
     return WorkerCells(config, num_workers(config), make_env, log_dir)
@@ -88,7 +97,7 @@ class LocalCells:
         torch.set_num_threads(1)
         self._cells = {u: Cell(config, u, make_env, log_dir and log_dir / f"cell_{u}") for u in indices}
 
-    def train(self, round_: int, params: State | None) -> list[tuple[State, list[EpisodeMetrics]]]:
+    def train(self, round_: int, params: State | None) -> Results:
         """`Cell.train` of every cell."""
         return [cell.train(round_, params) for cell in self._cells.values()]
 
@@ -126,7 +135,7 @@ class WorkerCells:
             self.close()
             raise
 
-    def train(self, round_: int, params: State | None) -> list[tuple[State, list[EpisodeMetrics]]]:
+    def train(self, round_: int, params: State | None) -> Results:
         """`Cell.train` of every cell."""
         arrays = None if params is None else _to_arrays(params)
         shares = _wait([pool.submit(_train, round_, arrays) for pool in self._workers])

@@ -80,10 +80,10 @@ def record(task: Task, act: Act, slots: int, seed: int) -> Rollout:
     try:
         for _ in range(slots):
             scene = simulator.scene
-            displacement_m, phases_rad, powers_w = task.decode(np.asarray(act(observation), np.float64))
-            slot = simulator.step(displacement_m, phases_rad, powers_w)
+            controls = task.decode(np.asarray(act(observation), np.float64))
+            slot = simulator.step(*controls)
             keep(
-                phases_rad=phases_rad,
+                phases_rad=controls.phases_rad,
                 rates_bps=slot.rates_bps,
                 qos_met=slot.qos_met,
                 blockers=scene.blockers,

@@ -177,7 +177,7 @@ class StraightDrive(Fleet):
         before = self._heading(moving)
         ahead = np.arctan2(self._unit[moving, 1], self._unit[moving, 0])
         self._turn_to(moving, ahead)
-        if self._config.pan == "auto":
+        if self._config.pan != "locked":
             self._pan[moving] = _wrapped(self._pan[moving] + before - ahead)
 
 
