@@ -318,9 +318,7 @@ _PAPER = Config(radio=Radio(element_pattern="isotropic"))
 
 _OFFICE = Config(
     world=World(drive="kinematic"),
-    task=Task(
-        motion="goal", phase_control="weights", power_reference="qos", observation="map", reward="gain"
-    ),
+    task=Task(motion="goal", phase_control="weights", power_reference="qos", observation="map", reward="gain"),
     agent=Agent(network="mlp", batch_size=128, discount=0.98, target_rate=0.005),
     federation=Federation(episodes=100),
 )

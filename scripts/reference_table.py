@@ -150,10 +150,9 @@ def channels_at(simulator: Simulator, places: FloatArray) -> Channels:
     fleet, cells = simulator.world.fleet, np.arange(simulator.num_cells)
     here, heading = fleet.xy, fleet.heading
     fleet.place(cells, places, heading)
-    simulator._face_panels()
-    channels = simulator._observe().channels
+    channels = simulator.look().channels
     fleet.place(cells, here, heading)
-    simulator._face_panels()
+    simulator.look()
     return channels
 
 

@@ -8,15 +8,13 @@ from numpy.typing import NDArray
 
 from mjris.eval.optimum import best_known, best_powers
 from mjris.radiomap import best_goals
-from mjris.simulator import Simulator
+from mjris.simulator import Controls, Simulator
 from mjris.task import Task
 
 FloatArray = NDArray[np.floating]
 
 Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """Actions [E, A] for observations [E, D]."""
-Controls = tuple[FloatArray, FloatArray, FloatArray]
-"""Displacement [E, 2] [m], phases [E, N] [rad] and powers [E, K] [W]."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ def no_ris() -> Policy:
     def controls(task: Task) -> Controls:
         config, simulator = task.config, task.simulator
         powers = best_powers(simulator.scene.channels.direct, simulator.clusters, config.radio, config.task.qos_bps)
-        return parked(simulator), np.zeros((simulator.num_cells, config.radio.num_elements)), powers
+        return Controls(parked(simulator), np.zeros((simulator.num_cells, config.radio.num_elements)), powers)
 
     return Policy("no RIS, best powers", controls, {"ris": "none"})
 
@@ -74,7 +72,7 @@ def planner(seed: int) -> Policy:
     def controls(task: Task) -> Controls:
         config, simulator = task.config, task.simulator
         best = best_known(simulator.scene.channels, simulator.clusters, config.radio, config.task.qos_bps, rng)
-        return planned(simulator), best.phases_rad, best.powers_w
+        return Controls(planned(simulator), best.phases_rad, best.powers_w)
 
     return Policy("planner", controls, {"ris": "mobile"})
 

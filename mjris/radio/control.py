@@ -169,9 +169,7 @@ def _decoding(
     return _Decoding(gains, later_users(resolved), sequence)
 
 
-def _first_split(
-    decoding: _Decoding, clusters: Array, tx_power_w: float, bandwidth_hz: float, qos_bps: Array
-) -> Array:
+def _first_split(decoding: _Decoding, clusters: Array, tx_power_w: float, bandwidth_hz: float, qos_bps: Array) -> Array:
     """`qos_first_split` of all clusters, powers [..., K] [W], for one QoS or that of every user [..., K]."""
     xp = array_namespace(decoding.gains)
 

@@ -41,6 +41,17 @@ class Footprints:
         dy = np.maximum(np.abs(across) - self.half[1][:, None], 0)
         return np.sqrt((dx * dx + dy * dy).min(-1))
 
+    def near(self, points: FloatArray, reach_m: float) -> "NearFootprints":
+        """What lies within `reach_m` [m] of points [E, 2] [m], one a cell."""
+        dx = points[:, 0, None] - self.centre[0]
+        dy = points[:, 1, None] - self.centre[1]
+        reach = reach_m + self._corner[:, 0]
+        cell, brick = np.nonzero(dx * dx + dy * dy <= reach * reach)
+        office = cell if self.centre.shape[1] > 1 else np.zeros_like(cell)
+        return NearFootprints(
+            cell, self.centre[:, office, brick], self.half[:, office, brick], self.axis[:, office, brick]
+        )
+
     def free_run(self, start: FloatArray, end: FloatArray, inflate: float) -> NDArray[np.bool_]:
         """Whether segments start–end, both [E, P, 2] [m], miss every rectangle grown by `inflate` [m], [E, P].
 
@@ -99,6 +110,26 @@ class Footprints:
         """Coordinates of the rectangles' middles along and across them, [2, E or 1, 1, B] [m]."""
         (x, y), (ax, ay) = self.centre, self.axis
         return np.stack([x * ax + y * ay, y * ax - x * ay])[:, :, None]
+
+
+@dataclass(frozen=True)
+class NearFootprints:
+    """The few rectangles that matter to each cell for a while: those of `Footprints`, [2, R], with their cells [R]."""
+
+    cell: IntArray
+    centre: FloatArray
+    half: FloatArray
+    axis: FloatArray
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Distance from points [E, 2] [m] to the nearest of these rectangles, [E] [m]; inf where there is none."""
+        x, y = points[self.cell].T - self.centre
+        ax, ay = self.axis
+        dx = np.maximum(np.abs(x * ax + y * ay) - self.half[0], 0)
+        dy = np.maximum(np.abs(y * ax - x * ay) - self.half[1], 0)
+        nearest = np.full(len(points), np.inf)
+        np.minimum.at(nearest, self.cell, np.sqrt(dx * dx + dy * dy))
+        return nearest
 
 
 def footprints(offices: list[Office], low_m: float, high_m: float) -> Footprints:

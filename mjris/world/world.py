@@ -93,17 +93,25 @@ class World:
     def move(self, displacement: FloatArray, distance: FloatArray, direction: FloatArray) -> Motion:
         """One slot: rovers move by `displacement` [E, 2] [m], people `distance` [m], `direction` [rad], both [E, K]."""
         self.crowd.plan(distance, direction)
-        solid, people = self._gaps(self._cells)
         length = np.hypot(displacement[:, 0], displacement[:, 1])
-        meeting = (people - self.crowd.stride_m()).min(-1) <= length + max(self._feeler_m, self.config.clearance_m)
-        busy = self.fleet.begin(displacement, solid - self._feeler_m, np.logical_or(meeting, self.on_tick is not None))
-        self.crowd.arrive(np.setdiff1d(self._cells, busy, assume_unique=True))
+        filming = self.on_tick is not None
+        close = length + max(self._feeler_m, self.config.clearance_m)
+        meeting = np.logical_or(filming, (self._people_gaps(self._cells) - self.crowd.stride_m()).min(-1) <= close)
+        busy = self.fleet.begin(displacement, self._solid_gaps() - self._feeler_m, meeting)
+        walkers = np.flatnonzero(meeting)
+        self.crowd.arrive(np.flatnonzero(~meeting))
+        at = np.searchsorted(busy, walkers)
+        reach = self.config.max_speed_mps * self.config.slot_s + self._feeler_m + self.hull_radius_m
+        solid = self._hull_solid.of(busy).near(self.fleet.xy[busy], reach)
         for _ in range(self.config.ticks_per_slot if len(busy) else 0):
-            self.crowd.walk(busy, self.fleet.xy[busy])
-            solid, people = self._gaps(busy)
-            nearest = people.min(-1)
-            self.fleet.forget(busy[nearest <= self._feeler_m])
-            self.fleet.drive(busy, np.minimum(solid, nearest) - self._feeler_m)
+            xy = self.fleet.xy
+            room = solid.distance(xy[busy]) - self.hull_radius_m
+            if len(walkers):
+                self.crowd.walk(walkers, xy[walkers])
+                people = self._people_gaps(walkers).min(-1)
+                self.fleet.forget(walkers[people <= self._feeler_m])
+                room[at] = np.minimum(room[at], people)
+            self.fleet.drive(busy, room - self._feeler_m)
             if self.on_tick is not None:
                 self.on_tick()
         clearance = self.clearance()
@@ -112,16 +120,16 @@ class World:
 
     def clearance(self) -> FloatArray:
         """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
-        solid, people = self._gaps(self._cells)
-        return np.minimum(solid, people.min(-1))
+        return np.minimum(self._solid_gaps(), self._people_gaps(self._cells).min(-1))
 
-    def _gaps(self, cells: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Distance of the hulls of `cells` [n] to furniture and walls [n] and to every person [n, K] [m]."""
-        xy = self.fleet.xy[cells]
-        solid = self._hull_solid.of(cells).distance(xy[:, None])[:, 0]
-        away = self.crowd.xy[cells] - xy[:, None]
-        people = np.hypot(away[..., 0], away[..., 1]) - PERSON_RADIUS_M
-        return solid - self.hull_radius_m, people - self.hull_radius_m
+    def _solid_gaps(self) -> FloatArray:
+        """Distance of the hulls to furniture and walls [E] [m]."""
+        return self._hull_solid.distance(self.fleet.xy[:, None])[:, 0] - self.hull_radius_m
+
+    def _people_gaps(self, cells: IntArray) -> FloatArray:
+        """Distance of the hulls of `cells` [n] to every person [n, K] [m]."""
+        away = self.crowd.xy[cells] - self.fleet.xy[cells][:, None]
+        return np.hypot(away[..., 0], away[..., 1]) - PERSON_RADIUS_M - self.hull_radius_m
 
     def free_share(self, start: FloatArray, end: FloatArray, keep_m: float) -> FloatArray:
         """Share of segments [E, P, 2] [m] up to `keep_m` [m] from what the hull can bump into but people, [E, P].
