@@ -13,13 +13,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pymanopt
+import torch
 from mujoco.batch import Batch
+from pymanopt.manifolds import ComplexCircle
+from pymanopt.optimizers import ConjugateGradient
 from rich.console import Console
 from rich.table import Table
 
 from mjris.config import Config, preset
 from mjris.env import OfficeVecEnv
+from mjris.eval.optimum import best_known
 from mjris.learn.run import train
+from mjris.radio.access import noma_rates
+from mjris.radio.channel import Channels, effective_channel
+from mjris.radio.control import qos_first_powers
+from mjris.simulator import Simulator
 
 CELLS = 64
 
@@ -31,17 +40,24 @@ def main() -> None:
     repeats, slots = (3, 5) if quick else (7, 50)
     table = Table("measured", "median", "least … most", "wanted")
 
-    for name in ("paper", "office"):
-        rates = kinematic_rates(preset(name), repeats, slots)
-        table.add_row(f"kinematic, E = {CELLS}, {name} observation [slots/s]", *spread(rates, ",.0f"), "8,000")
+    rates = kinematic_rates(preset("paper"), repeats, slots)
+    table.add_row(f"kinematic, E = {CELLS}, paper task [slots/s]", *spread(rates, ",.0f"), "8,000")
+    rates = kinematic_rates(preset("office"), repeats, max(2, slots // 5))
+    table.add_row(f"kinematic, E = {CELLS}, office task [slots/s]", *spread(rates, ",.0f"), "")
     ours, bare = wheels_rates(preset("paper"), repeats, max(2, slots // 5))
     table.add_row(f"wheels, E = {CELLS} [slots/s]", *spread(ours, ",.0f"), "")
     table.add_row("bare Batch.step of the same model [slots/s]", *spread(bare, ",.0f"), "")
-    table.add_row("wheels / bare", *spread([a / b for a, b in zip(ours, bare, strict=True)], ".2f"), "0.60")
-    one, two = training_rates(3, 100 if not quick else 20)
+    table.add_row("wheels / bare", *spread(ratios(ours, bare), ".2f"), "0.60")
+    one, two, stack = training_rates(3, 100 if not quick else 20)
     table.add_row("training, 4 cells, one process [agent-steps/s]", *spread(one, ",.0f"), "")
     table.add_row("training, 4 cells, two workers [agent-steps/s]", *spread(two, ",.0f"), "")
-    table.add_row("two workers / one process", *spread([b / a for a, b in zip(one, two, strict=True)], ".2f"), "1.60")
+    table.add_row("training, 4 cells, one stack [agent-steps/s]", *spread(stack, ",.0f"), "")
+    table.add_row("two workers / one process", *spread(ratios(two, one), ".2f"), "1.60")
+    table.add_row("one stack / one process", *spread(ratios(stack, one), ".2f"), "")
+    theirs, ours = optimum_seconds(3)
+    table.add_row("reference optimum [ms a slot]", *spread([1e3 * time for time in ours], ".1f"), "")
+    table.add_row("pymanopt, one start [ms a slot]", *spread([1e3 * time for time in theirs], ".0f"), "")
+    table.add_row("pymanopt / reference optimum", *spread(ratios(theirs, ours), ".0f"), "10")
     Console().print(table)
 
 
@@ -72,19 +88,53 @@ def wheels_rates(config: Config, repeats: int, slots: int) -> tuple[list[float],
     return ours, bare
 
 
-def training_rates(repeats: int, slots: int) -> tuple[list[float], list[float]]:
-    """Agent-steps a second of four cells in one process and in two workers, in turn, start-up left out."""
+def training_rates(repeats: int, slots: int) -> tuple[list[float], list[float], list[float]]:
+    """Agent-steps a second of four cells in one process, two workers and one stack, in turn, start-up left out."""
     base = preset("office")
-    rates: dict[int, list[float]] = {1: [], 2: []}
+    ways = [{"backend": "processes", "workers": 1}, {"backend": "processes", "workers": 2}, {"backend": "stacked"}]
+    rates: list[list[float]] = [[], [], []]
     for _ in range(repeats):
-        for workers, measured in rates.items():
+        for way, measured in zip(ways, rates, strict=True):
             config = replace(
                 base,
                 task=replace(base.task, slots=slots),
-                federation=replace(base.federation, num_cells=4, episodes=3, round_episodes=1, workers=workers),
+                federation=replace(base.federation, num_cells=4, episodes=3, round_episodes=1, **way),
             )
             measured.append(4 * 2 * slots / training_seconds(config))
-    return rates[1], rates[2]
+    return rates[0], rates[1], rates[2]
+
+
+def optimum_seconds(repeats: int) -> tuple[list[float], list[float]]:
+    """Seconds a slot of pymanopt's conjugate gradient from one start, and of ours from all of its starts, in turn."""
+    config = preset("office")
+    simulator = Simulator(replace(config, radio=replace(config.radio, difference_factor=1.0)), 4 * CELLS)
+    channels, radio, clusters = simulator.scene.channels, config.radio, simulator.clusters
+    qos_bps = config.task.qos_bps
+    manifold, optimizer = ComplexCircle(radio.num_elements), ConjugateGradient(verbosity=0)
+
+    def search(slot: int) -> None:
+        links = Channels(*(torch.asarray(link[slot]) for link in channels))
+
+        @pymanopt.function.pytorch(manifold)
+        def loss(response: torch.Tensor) -> torch.Tensor:
+            h = effective_channel(links, response)
+            budget = clusters, radio.scheme, radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, qos_bps
+            powers = qos_first_powers(h, *budget)
+            return -noma_rates(h, powers, clusters, radio.bandwidth_hz, radio.noise_w).sum() / radio.bandwidth_hz
+
+        optimizer.run(pymanopt.Problem(manifold, loss))
+
+    theirs, ours = [], []
+    for _ in range(repeats):
+        theirs.append(seconds(lambda: [search(slot) for slot in range(4)]) / 4)
+        rng = np.random.default_rng(0)
+        ours.append(seconds(lambda rng=rng: best_known(channels, clusters, radio, qos_bps, rng)) / (4 * CELLS))
+    return theirs, ours
+
+
+def ratios(values: list[float], others: list[float]) -> list[float]:
+    """Each value by that of the same turn."""
+    return [a / b for a, b in zip(values, others, strict=True)]
 
 
 def training_seconds(config: Config) -> float:

@@ -255,3 +255,26 @@ def test_agent_learns_to_reach_the_goal(network: str):
     trained = mean_reward(agent, random=False)
     assert trained > untrained + 0.4
     assert trained > 0.65
+
+
+def test_caution_charges_the_actor_for_the_size_of_its_actions():
+    rng = np.random.default_rng(2)
+    observation = torch.tensor(rng.normal(size=(16, 2)), dtype=torch.float32)
+    action = torch.tensor(rng.uniform(-1, 1, (16, 2)), dtype=torch.float32)
+    bold, cautious = toy_agent(hidden=(8,)), toy_agent(hidden=(8,), caution=3.0)
+    with torch.no_grad():
+        plain = bold.critic(observation, action)[0]
+        torch.testing.assert_close(bold.critic.q1_forward(observation, action), plain)
+        torch.testing.assert_close(cautious.critic(observation, action)[0], plain)  # the critic learns the true values
+        expected = plain / plain.abs().mean() - 3 * (action**2).mean(1, keepdim=True)
+        torch.testing.assert_close(cautious.critic.q1_forward(observation, action), expected)
+
+
+def test_a_cautious_agent_stays_near_action_zero():
+    bold, cautious = toy_agent(hidden=(16,), warmup_slots=50), toy_agent(hidden=(16,), warmup_slots=50, caution=30.0)
+    observation = np.random.default_rng(3).normal(size=(200, 2)).astype(np.float32)
+    sizes = []
+    for agent in (bold, cautious):
+        agent.learn(600)
+        sizes.append(np.abs(agent.predict(observation, deterministic=True)[0]).mean())
+    assert sizes[1] < 0.5 * sizes[0]

@@ -237,7 +237,9 @@ def test_rewards():
         missed = []
         free = changed(OFFICE, reward=kind, effort_cost=0.0)
         for outcome in [*play(free, 10), *play(free, 20, scale=0)]:
-            bare = value(outcome.slot.bare_rates_bps) if kind == "gain" else 0
+            bare_bps = outcome.slot.bare_rates_bps
+            assert (bare_bps is not None) == (kind == "gain")
+            bare = 0 if bare_bps is None else value(bare_bps)
             np.testing.assert_allclose(outcome.reward, value(outcome.slot.rates_bps) - bare, atol=1e-12)
             missed.append(~outcome.slot.qos_met.all(-1))
         assert 0 < np.mean(missed) < 1

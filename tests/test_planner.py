@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, preset
-from mjris.eval.planner import Planner, best_places, node_values
-from mjris.radiomap import place_values
+from mjris.eval.planner import best_places
+from mjris.eval.policies import planned
+from mjris.radiomap import best_goals, node_values, place_values
 from mjris.simulator import Simulator
 
 CELLS = 3
@@ -52,7 +53,7 @@ def test_goals_are_those_of_a_search_over_all_ways(horizon):
     """Against sums along whole ways, walked one by one."""
     made = simulator(1)
     ways, here, reach = made.world.paths, made.world.fleet.xy, horizon * made.config.world.max_speed_mps
-    goal = Planner(horizon_slots=horizon)._best_goal(made)
+    goal, promised = best_goals(made, horizon)
     totals = {tuple(here[0]): reach * place_values(made, here[:, None])[0, 0]}
     for node in np.flatnonzero(ways.distance_to_nodes(here)[0] < reach).tolist():
         last = np.array([[node]])
@@ -64,18 +65,18 @@ def test_goals_are_those_of_a_search_over_all_ways(horizon):
         totals[tuple(way[-1])] = on_the_way + (reach - sum(legs)) * values[-1]
     # Ways of equal length may pass through places of different value.
     assert totals[tuple(goal[0])] >= 0.99 * max(totals.values())
+    assert promised[0] == pytest.approx(max(totals.values()) / reach, rel=0.01)
     assert len(totals) > 10
 
 
 def test_the_planner_gets_to_better_places_and_touches_nothing():
     made = simulator()
     config: Config = made.config
-    planner = Planner()
     still = np.zeros((CELLS, config.world.num_users))
     before = place_values(made, made.world.fleet.xy[:, None])[:, 0]
     clearances = []
     for _ in range(40):
-        move = planner.displacement(made)
+        move = planned(made)
         assert (np.linalg.norm(move, axis=-1) <= config.world.max_speed_mps * config.world.slot_s + 1e-9).all()
         motion = made.world.move(move, still, still)
         assert (motion.collisions == 0).all()
@@ -84,16 +85,5 @@ def test_the_planner_gets_to_better_places_and_touches_nothing():
     assert (after >= before).all()
     assert after.mean() > 1.1 * before.mean()
     # People stand still, so that in the end nothing is better within the horizon than to stay.
-    assert (np.linalg.norm(planner.displacement(made), axis=-1) < 1e-6).all()
+    assert (np.linalg.norm(planned(made), axis=-1) < 1e-6).all()
     assert np.min(clearances) > 0
-
-
-def test_replanning_is_as_often_as_asked(monkeypatch):
-    made = simulator(1)
-    planner = Planner(replan_slots=4)
-    times = []
-    plan = Planner._best_goal
-    monkeypatch.setattr(Planner, "_best_goal", lambda self, sim: times.append(len(times)) or plan(self, sim))
-    for _ in range(9):
-        planner.displacement(made)
-    assert len(times) == 3

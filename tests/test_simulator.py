@@ -216,7 +216,9 @@ def test_bare_rates_are_those_without_ris_under_the_reference_powers(scheme):
     powers, _ = control.qos_or_sum(direct, simulator.clusters, scheme, *args)
     rates = access.noma_rates if scheme == "noma" else access.oma_rates
     expected = rates(direct, powers, simulator.clusters, radio.bandwidth_hz, radio.noise_w)
-    np.testing.assert_allclose(play(simulator, 1)[0].bare_rates_bps, expected, rtol=1e-9)  # pyright: ignore[reportArgumentType]
+    bare_bps = play(simulator, 1)[0].bare_rates_bps
+    assert bare_bps is not None
+    np.testing.assert_allclose(bare_bps, expected, rtol=1e-9)
 
 
 def test_one_user_and_one_antenna_in_watts_and_hertz():
