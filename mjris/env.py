@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from mjris.config import Config, preset
-from mjris.simulator import Slot
+from mjris.config import Config, ConfigError, preset
+from mjris.parallel import SpreadTask
+from mjris.simulator import CellId, Slot
 from mjris.task import Task
 
 
@@ -25,8 +26,8 @@ class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 
     def __init__(self, config: Config | None = None, cell: int = 0):
         self.config = config or preset("office")
-        self.task = Task(self.config, num_cells=1, first_cell=cell)
-        self.observation_space, self.action_space = _spaces(self.task)
+        self.task = Task(self.config, [CellId(self.config.seed, cell)])
+        self.observation_space, self.action_space = _spaces(self.task.observation_size, self.task.action_size)
         self._slot = 0
 
     def reset(
@@ -48,28 +49,36 @@ class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
 class OfficeVecEnv(VecEnv):
     """E cells stepped together, with the same numbers as E single environments of the same seed.
 
-    `config` is the office preset by default; cell e has number `first_cell + e`.
+    `config` is the office preset by default. A number of cells stands for the first ones of a run with the config's
+    seed; see `Simulator`. They are spread over `processes`, of which this is one. Raises `ConfigError` for fewer cells
+    than processes.
     """
 
-    def __init__(self, num_cells: int, config: Config | None = None, first_cell: int = 0):
+    def __init__(self, cells: int | Sequence[CellId], config: Config | None = None, processes: int = 1):
         self.config = config or preset("office")
-        self.task = Task(self.config, num_cells, first_cell)
+        cells = [CellId(self.config.seed, e) for e in range(cells)] if isinstance(cells, int) else cells
+        if not 1 <= processes <= len(cells):
+            raise ConfigError(f"processes: {processes} is not allowed: there are {len(cells)} cells")
+        self._task = SpreadTask(self.config, cells, processes)
         self._slot = 0
-        self._actions = np.zeros((num_cells, self.task.action_size))
-        self._seed: int | None = None
+        self._actions = np.zeros((len(cells), self._task.action_size))
+        self._new_seeds: Sequence[int] | None = None
         self.render_mode = None
-        super().__init__(num_cells, *_spaces(self.task))
+        super().__init__(len(cells), *_spaces(self._task.observation_size, self._task.action_size))
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the streams of all cells from the next reset on; cells tell themselves apart by their numbers."""
-        self._seed = seed
-        return [seed] * self.num_envs
+    def seed(self, seed: int | Sequence[int] | None = None) -> Sequence[int | None]:
+        """Seed the streams of all cells from the next reset on, with one seed for all or one for each.
+
+        Cells with the same seed tell themselves apart by their numbers.
+        """
+        self._new_seeds = [seed] * self.num_envs if isinstance(seed, int) else seed
+        return self._new_seeds or [None] * self.num_envs
 
     def reset(self) -> VecEnvObs:
         """Begin an episode in every cell: observations [E, D]."""
         self._slot = 0
-        observation = self.task.reset(self._seed)
-        self._seed = None
+        observation = self._task.reset(self._new_seeds)
+        self._new_seeds = None
         self.reset_infos = [{} for _ in range(self.num_envs)]
         return observation
 
@@ -79,20 +88,22 @@ class OfficeVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Play one slot; all cells end their episodes together, and begin the next at once."""
-        outcome = self.task.step(np.asarray(self._actions, np.float64))
+        outcomes = self._task.step(np.asarray(self._actions, np.float64))
         self._slot += 1
         done = self._slot >= self.config.task.slots
-        infos = [slot_info(outcome.slot, e) for e in range(self.num_envs)]
-        observation = outcome.observation
+        infos = [slot_info(outcome.slot, e) for outcome in outcomes for e in range(len(outcome.reward))]
+        observation = np.concatenate([outcome.observation for outcome in outcomes])
+        reward = np.concatenate([outcome.reward for outcome in outcomes])
         if done:
             for info, last in zip(infos, observation, strict=True):
                 info["terminal_observation"] = last
                 info["TimeLimit.truncated"] = True
             observation = self.reset()
-        return observation, outcome.reward.astype(np.float32), np.full(self.num_envs, done), infos
+        return observation, reward.astype(np.float32), np.full(self.num_envs, done), infos
 
     def close(self) -> None:
-        """Nothing to release."""
+        """End the worker processes."""
+        self._task.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute, once for each of the cells asked for."""
@@ -118,9 +129,9 @@ class OfficeVecEnv(VecEnv):
         return list(self._get_indices(indices))
 
 
-def make_vec(num_cells: int, config: Config | None = None) -> OfficeVecEnv:
-    """E cells as one SB3 VecEnv; the config is the office preset by default."""
-    return OfficeVecEnv(num_cells, config)
+def make_vec(num_cells: int, config: Config | None = None, processes: int = 1) -> OfficeVecEnv:
+    """E cells as one SB3 VecEnv, stepped in this process and others; the config is the office preset by default."""
+    return OfficeVecEnv(num_cells, config, processes)
 
 
 def slot_info(slot: Slot, cell: int) -> dict[str, Any]:
@@ -136,7 +147,7 @@ def slot_info(slot: Slot, cell: int) -> dict[str, Any]:
     }
 
 
-def _spaces(task: Task) -> tuple[gym.spaces.Box, gym.spaces.Box]:
+def _spaces(observation_size: int, action_size: int) -> tuple[gym.spaces.Box, gym.spaces.Box]:
     """Observation and action space of one cell."""
-    observation = gym.spaces.Box(-np.inf, np.inf, (task.observation_size,), np.float32)
-    return observation, gym.spaces.Box(-1.0, 1.0, (task.action_size,), np.float32)
+    observation = gym.spaces.Box(-np.inf, np.inf, (observation_size,), np.float32)
+    return observation, gym.spaces.Box(-1.0, 1.0, (action_size,), np.float32)

@@ -67,7 +67,8 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
     present, values = place_values(simulator, here[:, None])[:, 0], node_values(simulator)
     way_m, on_the_way = paths.along(here, present, values)
     within = way_m < horizon_m
-    total = on_the_way + np.where(within, (horizon_m - way_m) * np.where(within, values, 0), -np.inf)
+    staying = np.maximum(horizon_m - way_m, 0) * np.where(within, values, 0)
+    total = np.where(within, on_the_way + staying, -np.inf)
     stay = horizon_m * present >= total.max(1)
     goal = np.where(stay[:, None], here, paths.nodes[total.argmax(1)])
     return goal, np.maximum(horizon_m * present, total.max(1)) / horizon_m

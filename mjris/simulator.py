@@ -1,6 +1,7 @@
 """The simulator: E cells stepped together once a slot, from motion over sight and channels to rates."""
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -72,25 +73,37 @@ class Slot:
     scene: Scene
 
 
+class CellId(NamedTuple):
+    """What all that is random in a cell follows from."""
+
+    seed: int
+    """The run's seed, for the furniture; other streams may be seeded anew."""
+    number: int
+    """Counted from 0 in the run."""
+
+
 class _Streams(NamedTuple):
     """Random generators of one cell."""
 
     own: np.random.Generator
     """Places, steps and fading of this cell."""
     shared: np.random.Generator
-    """The one that all cells share, or a copy of it where cells are not at the same place of their episodes."""
+    """The one that a run's cells share, or a copy of it where cells are not at the same place of their episodes."""
     phases: np.random.Generator
     """Random phases: a stream of their own, so that they leave the rest of the scene as it is."""
 
 
 class Simulator:
-    """E cells of one config. Cell e is number `first_cell + e` of the run, from which its random streams follow."""
+    """E cells of one config; a number stands for the first ones of a run with the config's seed.
 
-    def __init__(self, config: Config, num_cells: int = 1, first_cell: int = 0):
+    Cells of several runs, which differ in their seeds only, can be simulated together.
+    """
+
+    def __init__(self, config: Config, cells: int | Sequence[CellId] = 1):
         self.config = config
-        self.num_cells = num_cells
-        self._numbers = [first_cell + e for e in range(num_cells)]
-        furniture = [np.random.default_rng([config.seed, number, 1]) for number in self._numbers]
+        self.cells = [CellId(config.seed, e) for e in range(cells)] if isinstance(cells, int) else list(cells)
+        num_cells = self.num_cells = len(self.cells)
+        furniture = [np.random.default_rng([cell.seed, cell.number, 1]) for cell in self.cells]
         self.world = World(config, load_layout(config.world.layout), furniture)
         radio = config.radio
         k, m, n = config.world.num_users, radio.num_antennas, radio.num_elements
@@ -110,26 +123,22 @@ class Simulator:
         self.resets, self.slots = 0, 0
         """How often cells began an episode, and the slots since."""
         self._streams: list[_Streams] = []
-        self.seed(config.seed)
+        self.seed([cell.seed for cell in self.cells])
         self.scene: Scene
         self.reset()
 
-    def seed(self, seed: int, cells: IntArray | None = None) -> None:
-        """Restart the random streams of some cells, all by default."""
-        shared = np.random.default_rng(seed)
-        fresh = [
+    def seed(self, seed: int | Sequence[int]) -> None:
+        """Restart the random streams of all cells, with one seed for all or one each; equal seeds share a stream."""
+        seeds = [seed] * self.num_cells if isinstance(seed, int) else seed
+        shared = {seed: np.random.default_rng(seed) for seed in seeds}
+        self._streams = [
             _Streams(
-                own=np.random.default_rng([seed, number, 0]),
-                shared=shared,
-                phases=np.random.default_rng([seed, number, 2]),
+                own=np.random.default_rng([seed, cell.number, 0]),
+                shared=shared[seed],
+                phases=np.random.default_rng([seed, cell.number, 2]),
             )
-            for number in self._numbers
+            for seed, cell in zip(seeds, self.cells, strict=True)
         ]
-        if cells is None:
-            self._streams = fresh
-        else:
-            for e in cells:
-                self._streams[e] = fresh[e]
 
     def reset(self, cells: IntArray | None = None) -> Scene:
         """Begin an episode in some cells, all by default."""

@@ -1,5 +1,6 @@
 """What the agents of E cells observe, decide and are rewarded for: array in, array out, over the simulator."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from mjris.config import Config
 from mjris.radio import control
 from mjris.radiomap import best_goals, penalised, place_values
-from mjris.simulator import Controls, Simulator, Slot
+from mjris.simulator import CellId, Controls, Simulator, Slot
 
 FloatArray = NDArray[np.floating]
 
@@ -34,19 +35,19 @@ class Outcome:
 
 
 class Task:
-    """The agents' side of a simulator with E cells.
+    """The agents' side of a simulator with E cells; see `Simulator` for which.
 
     An action in [-1, 1] is motion (2), phases (N, or K weights), powers (K) and perhaps pan (1); see `decode`.
     """
 
-    def __init__(self, config: Config, num_cells: int = 1, first_cell: int = 0):
+    def __init__(self, config: Config, cells: int | Sequence[CellId] = 1):
         self.config = config
-        self.simulator = Simulator(config, num_cells, first_cell)
+        self.simulator = Simulator(config, cells)
         users = config.world.num_users
         self._num_phases = config.radio.num_elements if config.task.phase_control == "elements" else users
         self._pans = config.world.pan == "action"
         self.action_size = 2 + self._num_phases + users + self._pans
-        room = [self.simulator.world.office(e).layout.room.size[:2] for e in range(num_cells)]
+        room = [self.simulator.world.office(e).layout.room.size[:2] for e in range(self.simulator.num_cells)]
         self._half_room = np.array(room) / 2
         self._reach_m = config.world.max_speed_mps * config.world.slot_s
         angles = np.arange(_MAP_DIRECTIONS) * 2 * np.pi / _MAP_DIRECTIONS
@@ -65,8 +66,8 @@ class Task:
         self._planned: tuple[FloatArray, FloatArray]
         self.observation_size = self.observe().shape[1]
 
-    def reset(self, seed: int | None = None) -> NDArray[np.float32]:
-        """Begin an episode in every cell, with new random streams if a seed is given: observations [E, D]."""
+    def reset(self, seed: int | Sequence[int] | None = None) -> NDArray[np.float32]:
+        """Begin an episode in every cell, with new random streams where seeds are given: observations [E, D]."""
         if seed is not None:
             self.simulator.seed(seed)
         self.simulator.reset()

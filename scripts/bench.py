@@ -40,33 +40,42 @@ def main() -> None:
     repeats, slots = (3, 5) if quick else (7, 50)
     table = Table("measured", "median", "least … most", "wanted")
 
-    rates = kinematic_rates(preset("paper"), repeats, slots)
-    table.add_row(f"kinematic, E = {CELLS}, paper task [slots/s]", *spread(rates, ",.0f"), "8,000")
-    rates = kinematic_rates(preset("office"), repeats, max(2, slots // 5))
-    table.add_row(f"kinematic, E = {CELLS}, office task [slots/s]", *spread(rates, ",.0f"), "")
+    for name, length, wanted in (("paper", slots, "8,000"), ("office", max(2, slots // 5), "")):
+        one, two = kinematic_rates(preset(name), repeats, length)
+        title = f"kinematic, E = {CELLS}, {name} task"
+        table.add_row(f"{title}, one process \\[slots/s]", *spread(one, ",.0f"), "")
+        table.add_row(f"{title}, two processes \\[slots/s]", *spread(two, ",.0f"), wanted)
     ours, bare = wheels_rates(preset("paper"), repeats, max(2, slots // 5))
-    table.add_row(f"wheels, E = {CELLS} [slots/s]", *spread(ours, ",.0f"), "")
-    table.add_row("bare Batch.step of the same model [slots/s]", *spread(bare, ",.0f"), "")
+    table.add_row(f"wheels, E = {CELLS} \\[slots/s]", *spread(ours, ",.0f"), "")
+    table.add_row("bare Batch.step of the same model \\[slots/s]", *spread(bare, ",.0f"), "")
     table.add_row("wheels / bare", *spread(ratios(ours, bare), ".2f"), "0.60")
     one, two, stack = training_rates(3, 100 if not quick else 20)
-    table.add_row("training, 4 cells, one process [agent-steps/s]", *spread(one, ",.0f"), "")
-    table.add_row("training, 4 cells, two workers [agent-steps/s]", *spread(two, ",.0f"), "")
-    table.add_row("training, 4 cells, one stack [agent-steps/s]", *spread(stack, ",.0f"), "")
+    table.add_row("training, 4 cells, one process \\[agent-steps/s]", *spread(one, ",.0f"), "")
+    table.add_row("training, 4 cells, two workers \\[agent-steps/s]", *spread(two, ",.0f"), "")
+    table.add_row("training, 4 cells, one stack \\[agent-steps/s]", *spread(stack, ",.0f"), "")
     table.add_row("two workers / one process", *spread(ratios(two, one), ".2f"), "1.60")
     table.add_row("one stack / one process", *spread(ratios(stack, one), ".2f"), "")
     theirs, ours = optimum_seconds(3)
-    table.add_row("reference optimum [ms a slot]", *spread([1e3 * time for time in ours], ".1f"), "")
-    table.add_row("pymanopt, one start [ms a slot]", *spread([1e3 * time for time in theirs], ".0f"), "")
+    table.add_row("reference optimum \\[ms a slot]", *spread([1e3 * time for time in ours], ".1f"), "")
+    table.add_row("pymanopt, one start \\[ms a slot]", *spread([1e3 * time for time in theirs], ".0f"), "")
     table.add_row("pymanopt / reference optimum", *spread(ratios(theirs, ours), ".0f"), "10")
     Console().print(table)
 
 
-def kinematic_rates(config: Config, repeats: int, slots: int) -> list[float]:
-    """Slots a second of a vectorised environment, everything included, under random actions."""
+def kinematic_rates(config: Config, repeats: int, slots: int) -> tuple[list[float], list[float]]:
+    """Slots a second in one process and in two, everything included, under random actions, in turn."""
     config = replace(config, world=replace(config.world, drive="kinematic"))
-    step = env_stepper(OfficeVecEnv(CELLS, config))
-    step(5)
-    return [CELLS * slots / seconds(lambda: step(slots)) for _ in range(repeats)]
+    envs = [OfficeVecEnv(CELLS, config, processes) for processes in (1, 2)]
+    steps = [env_stepper(env) for env in envs]
+    rates: tuple[list[float], list[float]] = [], []
+    for step in steps:
+        step(5)
+    for _ in range(repeats):
+        for measured, step in zip(rates, steps, strict=True):
+            measured.append(CELLS * slots / seconds(lambda step=step: step(slots)))
+    for env in envs:
+        env.close()
+    return rates
 
 
 def wheels_rates(config: Config, repeats: int, slots: int) -> tuple[list[float], list[float]]:
@@ -75,7 +84,7 @@ def wheels_rates(config: Config, repeats: int, slots: int) -> tuple[list[float],
     env = OfficeVecEnv(CELLS, config)
     step = env_stepper(env)
     step(3)
-    world = env.task.simulator.world
+    world = Simulator(config, CELLS).world
     substeps = round(config.world.slot_s / world.offices[0].model.opt.timestep)
     batch = Batch(world.offices[0].model, CELLS)
     batch.bind("qpos")[:] = world.batch.bind("qpos")
@@ -148,7 +157,7 @@ def training_seconds(config: Config) -> float:
 def env_stepper(env: OfficeVecEnv) -> Callable[[int], None]:
     """Plays a number of slots with random actions drawn beforehand."""
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (20, env.num_envs, env.task.action_size)).astype(np.float32)
+    actions = rng.uniform(-1, 1, (20, env.num_envs, *(env.action_space.shape or ()))).astype(np.float32)
     env.reset()
 
     def step(slots: int) -> None:

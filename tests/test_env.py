@@ -1,3 +1,4 @@
+import multiprocessing
 import warnings
 from dataclasses import replace
 
@@ -10,10 +11,11 @@ from hypothesis import strategies as st
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import mjris
-from mjris.config import Config, preset
+from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv, OfficeVecEnv
 from mjris.radio import control
 from mjris.radiomap import best_goals
+from mjris.simulator import CellId
 from mjris.task import Task
 
 INFO = {"rates_bps", "sum_rate_bps", "qos_met", "blockers", "clearance_m", "collisions", "constraints"}
@@ -61,10 +63,10 @@ def test_made_by_gymnasium_with_everything_in_info():
         assert np.isfinite(float(reward))
 
 
-@pytest.mark.parametrize("name", ["paper", "office"])
-def test_vec_env_is_single_environments_side_by_side(name):
+@pytest.mark.parametrize(("name", "processes"), [("paper", 1), ("office", 1), ("office", 2)])
+def test_vec_env_is_single_environments_side_by_side(name, processes):
     config = changed(preset(name), slots=4, difference_factor=0.5, phases="random" if name == "paper" else "learned")
-    vec = OfficeVecEnv(3, config)
+    vec = OfficeVecEnv(3, config, processes)
     vec.seed(17)
     singles = [OfficeEnv(config, cell=e) for e in range(3)]
     together = vec.reset()
@@ -73,7 +75,7 @@ def test_vec_env_is_single_environments_side_by_side(name):
     assert isinstance(together, np.ndarray)
     np.testing.assert_allclose(together, alone, atol=1e-5)
     for slot in range(10):
-        actions = rng.uniform(-1, 1, (3, vec.task.action_size)).astype(np.float32)
+        actions = rng.uniform(-1, 1, (3, *(vec.action_space.shape or ()))).astype(np.float32)
         vec.step_async(actions)
         together, rewards, dones, infos = vec.step_wait()
         assert isinstance(together, np.ndarray)
@@ -87,6 +89,32 @@ def test_vec_env_is_single_environments_side_by_side(name):
             np.testing.assert_allclose(together[e], observation, atol=1e-5)
             assert rewards[e] == pytest.approx(reward, rel=1e-5, abs=1e-5)
             np.testing.assert_allclose(infos[e]["rates_bps"], info["rates_bps"], rtol=1e-9)
+    vec.close()
+    assert not multiprocessing.active_children()
+
+
+def test_cells_of_several_runs_are_those_of_each():
+    config = changed(OFFICE, layout_jitter_m=0.3)
+    cells = [CellId(5, 0), CellId(5, 1), CellId(9, 1)]
+    vec = OfficeVecEnv(cells, config)
+    singles = [OfficeEnv(replace(config, seed=seed), number) for seed, number in cells]
+    rng = np.random.default_rng(3)
+    for seeds in (None, [20, 20, 21]):
+        vec.seed(seeds)
+        vec.reset()
+        for env, seed in zip(singles, seeds or [None] * 3, strict=True):
+            env.reset(seed=seed)
+        for _ in range(3):
+            actions = rng.uniform(-1, 1, (3, *(vec.action_space.shape or ())))
+            infos = vec.step(actions)[3]
+            for info, env, action in zip(infos, singles, actions, strict=True):
+                np.testing.assert_allclose(info["rates_bps"], env.step(action)[4]["rates_bps"], rtol=1e-9)
+
+
+@pytest.mark.parametrize("processes", [0, 3])
+def test_no_more_processes_than_cells(processes):
+    with pytest.raises(ConfigError, match=f"processes: {processes} is not allowed: there are 2 cells"):
+        mjris.make_vec(2, processes=processes)
 
 
 def test_make_vec():
@@ -115,7 +143,7 @@ def test_observations_are_of_order_one(name, scheme):
 
 
 def test_the_csi_observation_is_the_papers_state():
-    task = Task(changed(preset("paper"), drive="kinematic", num_users=2, layout="clinic"), num_cells=3)
+    task = Task(changed(preset("paper"), drive="kinematic", num_users=2, layout="clinic"), cells=3)
     task.step(np.random.default_rng(2).uniform(-1, 1, (3, task.action_size)))
     simulator, observed = task.simulator, task.observe()
     for e in range(3):
@@ -167,7 +195,7 @@ def test_plain_actions_mean_what_they_say():
 
 
 def test_waypoints_are_moved_from_the_goal_of_the_map():
-    task = Task(OFFICE, num_cells=8)
+    task = Task(OFFICE, cells=8)
     task.reset(0)
     simulator = task.simulator
     goal, _ = best_goals(simulator)
@@ -187,7 +215,7 @@ def test_waypoints_are_moved_from_the_goal_of_the_map():
 
 
 def test_pan_is_one_more_action_from_the_bisector():
-    task = Task(changed(OFFICE, pan="action"), num_cells=4)
+    task = Task(changed(OFFICE, pan="action"), cells=4)
     assert task.action_size == 11
     action = np.zeros((4, 11))
     action[:, -1] = -0.5, 0, 0.25, 1
@@ -198,7 +226,7 @@ def test_pan_is_one_more_action_from_the_bisector():
 
 
 def test_no_power_action_costs_a_user_its_qos():
-    task = Task(OFFICE, num_cells=32)
+    task = Task(OFFICE, cells=32)
     simulator = task.simulator
     rng = np.random.default_rng(3)
     served = 0
@@ -215,7 +243,7 @@ def test_no_power_action_costs_a_user_its_qos():
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
 def test_action_zero_is_the_closed_forms(scheme):
-    task = Task(changed(OFFICE, scheme=scheme), num_cells=3)
+    task = Task(changed(OFFICE, scheme=scheme), cells=3)
     simulator, radio = task.simulator, task.config.radio
     move, phases, powers, _ = task.decode(np.zeros((3, task.action_size)))
     np.testing.assert_array_equal(move, simulator.world.way_toward(best_goals(simulator)[0]))
@@ -276,13 +304,13 @@ def test_modes_of_the_ris(mode):
 
 
 def test_none_with_the_closed_form_powers_gains_nothing():
-    task = Task(changed(OFFICE, ris="none", scheme="oma"), num_cells=4)
+    task = Task(changed(OFFICE, ris="none", scheme="oma"), cells=4)
     for _ in range(5):
         np.testing.assert_allclose(task.step(np.zeros((4, task.action_size))).reward, 0, atol=1e-12)
 
 
 def test_closed_forms_on_a_fixed_ris_gain_something():
-    task = Task(changed(OFFICE, ris="fixed"), num_cells=8)
+    task = Task(changed(OFFICE, ris="fixed"), cells=8)
     rewards = [task.step(np.zeros((8, task.action_size))).reward for _ in range(30)]
     assert np.mean(rewards) > 0.02
 
@@ -294,7 +322,7 @@ def test_rewards_do_not_collapse_after_the_first_episode(name):
     vec.reset()
     episodes = []
     for _ in range(3):
-        rewards = [vec.step(rng.uniform(-1, 1, (24, vec.task.action_size)))[1] for _ in range(15)]
+        rewards = [vec.step(rng.uniform(-1, 1, (24, *(vec.action_space.shape or ()))))[1] for _ in range(15)]
         episodes.append(np.mean(rewards, 0))
     for later in episodes[1:]:
         spread = np.hypot(later.std(), episodes[0].std()) / np.sqrt(24)

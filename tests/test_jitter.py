@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, World
-from mjris.simulator import Simulator
+from mjris.simulator import CellId, Simulator
 from mjris.world.jitter import jittered
 from mjris.world.layout import check_layout, layout_names, load_layout
 
@@ -42,14 +42,14 @@ def test_distance_zero_moves_nothing():
 
 def test_cells_differ_and_follow_from_their_numbers():
     config = Config(world=World(layout="open", layout_jitter_m=DISTANCE_M, drive="kinematic"))
-    world = Simulator(config, num_cells=3).world
+    world = Simulator(config, cells=3).world
     layouts = [world.office(e).layout for e in range(3)]
     assert layouts[0] != layouts[1] != layouts[2] != layouts[0]
-    assert Simulator(config, num_cells=1, first_cell=2).world.office(0).layout == layouts[2]
+    assert Simulator(config, [CellId(config.seed, 2)]).world.office(0).layout == layouts[2]
 
 
 def test_jittered_cells_see_their_own_furniture():
     config = Config(world=World(layout="open", layout_jitter_m=DISTANCE_M, drive="kinematic"))
-    together = Simulator(config, num_cells=3).scene.blockers
-    alone = np.concatenate([Simulator(config, first_cell=e).scene.blockers for e in range(3)])
+    together = Simulator(config, cells=3).scene.blockers
+    alone = np.concatenate([Simulator(config, [CellId(config.seed, e)]).scene.blockers for e in range(3)])
     np.testing.assert_array_equal(together, alone)

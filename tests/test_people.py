@@ -99,7 +99,7 @@ def test_mean_walk_is_rayleigh(tmp_path):
         "room.size = [100, 100, 3]\nap.position = [50, 50, 2.6]\nap.facing_deg = 0\nrover.start = [50, 50]\n"
     )
     config = Config(world=World(layout=str(path), drive="kinematic", walk_scale_m=0.3))
-    simulator = Simulator(config, num_cells=64)
+    simulator = Simulator(config, cells=64)
     phases, powers = np.zeros((64, 16)), np.full((64, 4), 0.025)
     steps = []
     for _ in range(30):

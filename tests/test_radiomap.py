@@ -13,7 +13,7 @@ OFFICE = preset("office")
 
 @pytest.fixture(scope="module")
 def simulator():
-    return Simulator(OFFICE, num_cells=3)
+    return Simulator(OFFICE, cells=3)
 
 
 def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
@@ -46,7 +46,7 @@ def test_a_place_behind_the_world_is_worth_what_the_direct_channel_is(simulator)
     # So far away that the RIS adds nothing.
     far = place_values(simulator, np.full((3, 1, 2), 1e7))
     none = replace(OFFICE, radio=replace(OFFICE.radio, element_amplitude=0.0))
-    bare = place_values(Simulator(none, num_cells=3), np.full((3, 1, 2), 5.0))
+    bare = place_values(Simulator(none, cells=3), np.full((3, 1, 2), 5.0))
     np.testing.assert_allclose(far, bare, rtol=1e-6)
 
 

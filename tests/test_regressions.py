@@ -35,7 +35,7 @@ def test_reflection_coefficients_off_the_unit_circle(name, monkeypatch):
         return combine(channels, response)
 
     monkeypatch.setattr(channel, "effective_channel", recording)
-    task, rng = Task(kinematic(name), num_cells=4), np.random.default_rng(0)
+    task, rng = Task(kinematic(name), cells=4), np.random.default_rng(0)
     for _ in range(5):
         task.step(wild_actions(task, rng))
     assert len(seen) >= 5
@@ -46,7 +46,7 @@ def test_reflection_coefficients_off_the_unit_circle(name, monkeypatch):
 @pytest.mark.parametrize("name", ["paper", "office"])
 def test_transmit_power_above_the_budget(name, scheme):
     # Powers that are clipped one by one, or not at all, add up to more than the AP has.
-    task, rng = Task(kinematic(name, scheme=scheme), num_cells=8), np.random.default_rng(1)
+    task, rng = Task(kinematic(name, scheme=scheme), cells=8), np.random.default_rng(1)
     for _ in range(10):
         action = wild_actions(task, rng)
         powers = task.decode(action)[2]
@@ -60,7 +60,7 @@ def test_transmit_power_above_the_budget(name, scheme):
 def test_noise_that_is_counted_twice_or_never(scheme):
     # One user, nobody to interfere: the rate is B log2(1 + P ‖h‖² / noise), noise being density times bandwidth.
     radio = Radio(num_clusters=1, scheme=scheme, bandwidth_hz=2e6, noise_dbm_per_mhz=-60.0)
-    simulator = Simulator(Config(world=World(drive="kinematic", num_users=1), radio=radio), num_cells=5)
+    simulator = Simulator(Config(world=World(drive="kinematic", num_users=1), radio=radio), cells=5)
     phases = np.random.default_rng(2).uniform(-3, 3, (5, 16))
     gain = (abs(simulator.effective_channel(phases)) ** 2).sum((-2, -1))
     rates = simulator.step(np.zeros((5, 2)), phases, np.full((5, 1), 0.1)).rates_bps
@@ -72,7 +72,7 @@ def test_noise_that_is_counted_twice_or_never(scheme):
 @pytest.mark.parametrize("name", ["paper", "office"])
 def test_observations_whose_parts_differ_by_orders_of_magnitude(name):
     # Channels of 1e-4 beside positions of 10 m and losses of 80 dB leave a network blind to the channels.
-    task, rng = Task(kinematic(name), num_cells=16), np.random.default_rng(3)
+    task, rng = Task(kinematic(name), cells=16), np.random.default_rng(3)
     seen = [task.reset(seed=1)]
     for _ in range(20):
         seen.append(task.step(rng.uniform(-1, 1, (16, task.action_size))).observation)

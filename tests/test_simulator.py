@@ -6,7 +6,7 @@ import pytest
 
 from mjris.config import Config, Radio, Task, World
 from mjris.radio import access, control
-from mjris.simulator import Simulator, Slot
+from mjris.simulator import CellId, Simulator, Slot
 
 
 def config(drive: str = "kinematic", task: Task | None = None, layout: str = "office", **radio) -> Config:
@@ -48,12 +48,12 @@ def test_cells_with_furniture_of_their_own_are_cells_one_by_one():
 
 
 def assert_cells_alone_give_the_same(settings: Config, tolerance: float) -> None:
-    together = Simulator(settings, num_cells=3)
+    together = Simulator(settings, cells=3)
     rng = np.random.default_rng(6)
     commands = [inputs(together, rng, 3) for _ in range(8)]
     slots = [together.step(*command) for command in commands]
     for cell in range(3):
-        single = Simulator(settings, num_cells=1, first_cell=cell)
+        single = Simulator(settings, [CellId(settings.seed, cell)])
         for slot, command in zip(slots, commands, strict=True):
             assert_same(slot, single.step(*(part[cell : cell + 1] for part in command)), cell, tolerance)
 
@@ -66,7 +66,7 @@ def blocked_fading(simulator: Simulator) -> np.ndarray:
 
 
 def fading_of_two_cells(factor: float) -> tuple[np.ndarray, np.ndarray]:
-    simulator = Simulator(config(difference_factor=factor), num_cells=16)
+    simulator = Simulator(config(difference_factor=factor), cells=16)
     pairs = []
     for _ in range(40):
         play(simulator, 1)
@@ -92,8 +92,8 @@ def test_difference_factor_is_what_correlation_lacks(factor):
 
 def test_frozen_fading():
     still = replace(World(drive="kinematic"), walk_scale_m=0.0)
-    frozen = Simulator(Config(world=still, radio=Radio(fading_memory=1.0)), num_cells=2)
-    fresh = Simulator(Config(world=still, radio=Radio(fading_memory=0.0)), num_cells=2)
+    frozen = Simulator(Config(world=still, radio=Radio(fading_memory=1.0)), cells=2)
+    fresh = Simulator(Config(world=still, radio=Radio(fading_memory=0.0)), cells=2)
     rest = np.zeros((2, 2)), np.zeros((2, 16)), np.full((2, 4), 0.025)
     for simulator, same in [(frozen, True), (fresh, False)]:
         before = simulator.scene.channels
@@ -138,7 +138,7 @@ def test_links_in_sight_have_the_k_factor(k_db):
 
 @pytest.mark.parametrize("pattern", ["isotropic", "cosine"])
 def test_channels_in_sight_are_path_lengths_and_patterns(pattern):
-    simulator = Simulator(config(layout="open", rician_k_db=60.0, element_pattern=pattern), num_cells=3)
+    simulator = Simulator(config(layout="open", rician_k_db=60.0, element_pattern=pattern), cells=3)
     world, wavelength = simulator.config.world, 299_792_458 / 2e9
     scene = play(simulator, 4)[-1].scene
     seen = 0
@@ -176,7 +176,7 @@ def test_channels_in_sight_are_path_lengths_and_patterns(pattern):
 
 
 def test_static_order_is_that_of_the_first_slot():
-    simulator = Simulator(config(decoding_order="static"), num_cells=4)
+    simulator = Simulator(config(decoding_order="static"), cells=4)
     radio, rng = simulator.config.radio, np.random.default_rng(1)
     differs = 0
     for _ in range(2):
@@ -196,7 +196,7 @@ def test_static_order_is_that_of_the_first_slot():
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
 def test_without_ris_only_the_direct_channel_counts(scheme):
-    simulator = Simulator(config(task=Task(ris="none"), scheme=scheme), num_cells=3)
+    simulator = Simulator(config(task=Task(ris="none"), scheme=scheme), cells=3)
     rng = np.random.default_rng(2)
     move, phases, powers = inputs(simulator, rng, 3)
     direct = simulator.scene.channels.direct
@@ -209,7 +209,7 @@ def test_without_ris_only_the_direct_channel_counts(scheme):
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
 def test_bare_rates_are_those_without_ris_under_the_reference_powers(scheme):
-    simulator = Simulator(config(scheme=scheme, task=Task(reward="gain")), num_cells=3)
+    simulator = Simulator(config(scheme=scheme, task=Task(reward="gain")), cells=3)
     radio, task = simulator.config.radio, simulator.config.task
     direct = simulator.scene.channels.direct
     args = radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, task.qos_bps
@@ -237,7 +237,7 @@ def test_one_user_and_one_antenna_in_watts_and_hertz():
 
 @pytest.mark.parametrize("carrier_hz", [2e9, 5e9])
 def test_path_losses_are_the_papers_formulas_at_the_scenes_distances(carrier_hz):
-    simulator = Simulator(config(carrier_hz=carrier_hz), num_cells=6)
+    simulator = Simulator(config(carrier_hz=carrier_hz), cells=6)
     world = simulator.config.world
     for slot in play(simulator, 5):
         scene = slot.scene
@@ -253,7 +253,7 @@ def test_path_losses_are_the_papers_formulas_at_the_scenes_distances(carrier_hz)
 
 
 def test_mean_power_of_the_channels_is_path_loss_and_pattern():
-    simulator = Simulator(config(layout="open", element_pattern="isotropic"), num_cells=16)
+    simulator = Simulator(config(layout="open", element_pattern="isotropic"), cells=16)
     ratios = []
     for slot in play(simulator, 30):
         gain = 10 ** (-slot.scene.path_loss_db / 10)
@@ -265,7 +265,7 @@ def test_mean_power_of_the_channels_is_path_loss_and_pattern():
 
 
 def test_seeds_reproduce_and_differ():
-    simulator = Simulator(config(difference_factor=0.5), num_cells=2)
+    simulator = Simulator(config(difference_factor=0.5), cells=2)
     runs = []
     for seed in (5, 5, 6):
         simulator.seed(seed)
@@ -277,7 +277,7 @@ def test_seeds_reproduce_and_differ():
 
 
 def test_resetting_one_cell_leaves_the_others_where_they_are():
-    simulator = Simulator(config(), num_cells=3)
+    simulator = Simulator(config(), cells=3)
     before = play(simulator, 3)[-1].scene
     after = simulator.reset(np.array([1]))
     for cell, same in [(0, True), (1, False), (2, True)]:
@@ -288,7 +288,7 @@ def test_resetting_one_cell_leaves_the_others_where_they_are():
 
 
 def test_the_panel_faces_between_access_point_and_users():
-    simulator = Simulator(config(), num_cells=4)
+    simulator = Simulator(config(), cells=4)
     for slot in play(simulator, 3):
         for e in range(4):
             here = complex(*slot.scene.rover_xy[e])

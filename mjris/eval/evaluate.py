@@ -48,7 +48,7 @@ class Played:
 def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: bool = False) -> Played:
     """One episode in each of `scenes` cells, all stepped together, with fading of their own; see `compare`."""
     task_config, radio = replace(config.task, **policy.changes), replace(config.radio, difference_factor=1.0)
-    task = Task(replace(config, task=task_config, radio=radio), num_cells=scenes)
+    task = Task(replace(config, task=task_config, radio=radio), cells=scenes)
     task.reset(seed)
     simulator = task.simulator
     rates, direct, bounds, met = [], [], [], []

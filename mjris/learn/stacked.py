@@ -1,7 +1,9 @@
 """All cells of one or several runs learning in lockstep in this process, as one stack of agents."""
 
 import copy
+import os
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,10 +33,14 @@ from mjris.learn.federation import (
 )
 from mjris.learn.replay import ReplayMemory
 from mjris.learn.stack import Lanes, num_lanes
+from mjris.simulator import CellId
 
 FloatArray = NDArray[np.floating]
 Results = Sequence[tuple[State, list[EpisodeMetrics]]]
 """What `Cell.train` returns, of every cell."""
+
+_CELLS_A_PROCESS = 5
+"""With fewer cells in each, several processes are no faster than one."""
 
 
 class StackedCells:
@@ -59,6 +65,7 @@ class StackedCells:
 class StackedRuns:
     """The cells of G runs of U cells each as one stack of G·U agents.
 
+    Runs that differ in nothing but the seed are simulated together, in as many processes as `federation.workers` says.
     The configs may differ in whatever leaves the agents, the number of cells and the slots alike: in their seeds, for
     one. Every agent draws from the same generators as a `Cell` does, so that its numbers are those of a `Cell` but for
     rounding. With log directories, cell u of run g logs to cell_u in that of the run. Raises `ConfigError` where
@@ -75,11 +82,18 @@ class StackedRuns:
         torch.set_num_threads(1)  # the cores are for the lanes
         self._configs, self._make_env = configs, make_env
         self._config = configs[0]
-        self._envs = [_side_by_side(config, make_env) for config in configs]
-        _check_equal(configs, self._envs)
-        self._members = [(g, u) for g in range(len(configs)) for u in range(self._config.federation.num_cells)]
+        _check_equal(configs)
+        groups = _alike(configs, self._config.federation.num_cells)
+        self._members = [member for group in groups for member in group]
+        self._envs: list[OfficeVecEnv | _SingleEnvs] = []
+        for group in groups:
+            self._envs.append(_side_by_side([(configs[g], u) for g, u in group], make_env))
+            _check_same_spaces(self._envs)
+        ends = np.cumsum([len(group) for group in groups]).tolist()
+        self._slices = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+        """Members in each environment."""
         self._agents = [
-            build_agent(configs[g], _Outline(self._envs[g]), agent_generator(configs[g], u)) for g, u in self._members
+            build_agent(configs[g], _Outline(self._envs[0]), agent_generator(configs[g], u)) for g, u in self._members
         ]
         for (g, u), agent in zip(self._members, self._agents, strict=True):
             if (log_dir := log_dirs[g]) is not None:
@@ -130,22 +144,22 @@ class StackedRuns:
         agent._episode_num = self._slots // self._config.task.slots
 
     def _train(self, round_: int, params: Sequence[State | None]) -> list[Results]:
-        cells = self._config.federation.num_cells
         for index, (g, _) in enumerate(self._members):
             if (state := params[g]) is not None:
                 self._learner.load(index, state)
-        for config, env in zip(self._configs, self._envs, strict=True):
-            env.seed(environment_seed(config, round_))
+        seeds = [environment_seed(self._configs[g], round_) for g, _ in self._members]
+        for env, members in zip(self._envs, self._slices, strict=True):
+            env.seed(seeds[members])
         self._observations = np.concatenate([_array(env.reset()) for env in self._envs])
         generators = [
             _seed(agent, learning_seed(self._configs[g], u, round_))
             for agent, (g, u) in zip(self._agents, self._members, strict=True)
         ]
         episodes = [self._episode(round_, episode, generators) for episode in episodes_of(self._config, round_)]
-        results: Results = [
-            (self._learner.state(index), [metrics[index] for metrics in episodes]) for index in range(len(self._agents))
-        ]
-        return [results[g * cells : (g + 1) * cells] for g in range(len(self._configs))]
+        results: list[list[tuple[State, list[EpisodeMetrics]]]] = [[] for _ in self._configs]
+        for index, (g, _) in enumerate(self._members):
+            results[g].append((self._learner.state(index), [metrics[index] for metrics in episodes]))
+        return list(results)
 
     def _episode(self, round_: int, episode: int, generators: Sequence[np.random.RandomState]) -> list[EpisodeMetrics]:
         """Play and learn one episode in every cell; its metrics, one of each agent."""
@@ -194,8 +208,8 @@ class StackedRuns:
 
     def _step(self, actions: FloatArray, last: bool) -> tuple[FloatArray, list[dict[str, Any]]]:
         """Play one slot in every cell, with actions scaled to [-1, 1], and remember it: rewards [A] and infos."""
-        shares = np.split(self._policy.unscale_action(actions), len(self._envs))
-        steps = [env.step(share) for env, share in zip(self._envs, shares, strict=True)]
+        unscaled = self._policy.unscale_action(actions)
+        steps = [env.step(unscaled[members]) for env, members in zip(self._envs, self._slices, strict=True)]
         observations, reward, done = (np.concatenate([_array(step[i]) for step in steps]) for i in range(3))
         infos = [info for step in steps for info in step[3]]
         if np.any(done != last):
@@ -228,32 +242,47 @@ class _Outline(gym.Env):
 
 
 class _SingleEnvs(DummyVecEnv):
-    """Single environments one after the other, all with the same seed: they have the number of their cell."""
+    """Single environments one after the other, each with a seed of its own: the cells of a run share theirs."""
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        self._seeds = [seed] * self.num_envs
+    def seed(self, seed: int | Sequence[int] | None = None) -> Sequence[int | None]:
+        self._seeds = list(seed) if isinstance(seed, Sequence) else [seed] * self.num_envs
         return self._seeds
 
 
-def _side_by_side(config: Config, make_env: EnvFactory) -> VecEnv:
-    """All cells of a run: stepped together where they are offices."""
-    cells = config.federation.num_cells
+def _alike(configs: Sequence[Config], num_cells: int) -> list[list[tuple[int, int]]]:
+    """Runs and cells of configs that differ in nothing but the seed, which one simulator can step together."""
+    groups: dict[Config, list[tuple[int, int]]] = {}
+    for g, config in enumerate(configs):
+        groups.setdefault(replace(config, seed=0), []).extend((g, u) for u in range(num_cells))
+    return list(groups.values())
+
+
+def _side_by_side(cells: Sequence[tuple[Config, int]], make_env: EnvFactory) -> OfficeVecEnv | _SingleEnvs:
+    """Cells of like configs, each with its number: stepped together where they are offices."""
     if make_env is OfficeEnv:
-        return OfficeVecEnv(cells, config)
-    return _SingleEnvs([partial(make_env, config, u) for u in range(cells)])
+        config = cells[0][0]
+        processes = min(config.federation.workers or os.cpu_count() or 1, max(1, len(cells) // _CELLS_A_PROCESS))
+        return OfficeVecEnv([CellId(config.seed, u) for config, u in cells], config, processes)
+    return _SingleEnvs([partial(make_env, config, u) for config, u in cells])
 
 
-def _check_equal(configs: Sequence[Config], envs: Sequence[VecEnv]) -> None:
-    first, shapes = configs[0], (envs[0].observation_space.shape, envs[0].action_space.shape)
-    for config, env in zip(configs, envs, strict=True):
+def _check_equal(configs: Sequence[Config]) -> None:
+    first = configs[0]
+    for config in configs:
         if config.agent != first.agent or config.federation != first.federation:
             raise ConfigError("configs: runs of one stack must have the same agent and federation sections")
         if config.task.slots != first.task.slots:
             raise ConfigError(
                 f"task.slots: {config.task.slots} is not allowed: the stack's first run has {first.task.slots}"
             )
-        if (env.observation_space.shape, env.action_space.shape) != shapes:
-            raise ConfigError("configs: runs of one stack must have observations and actions of the same sizes")
+
+
+def _check_same_spaces(envs: Sequence[VecEnv]) -> None:
+    shapes = {(env.observation_space.shape, env.action_space.shape) for env in envs}
+    if len(shapes) > 1:
+        for env in envs:
+            env.close()
+        raise ConfigError("configs: runs of one stack must have observations and actions of the same sizes")
 
 
 def _seed(agent: DDPG, seed: int) -> np.random.RandomState:

@@ -1,0 +1,86 @@
+"""A task whose cells are spread over processes: this one and workers."""
+
+import multiprocessing
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.config import Config
+from mjris.simulator import CellId
+from mjris.task import Outcome, Task
+
+
+class SpreadTask:
+    """A `Task` in several processes, of which this one has the first cells; the numbers are those of one task."""
+
+    def __init__(self, config: Config, cells: Sequence[CellId], processes: int):
+        self._slices = [slice(part[0], part[-1] + 1) for part in np.array_split(np.arange(len(cells)), processes)]
+        self._own = Task(config, cells[self._slices[0]])
+        self._others = [_Worker(config, cells[part]) for part in self._slices[1:]]
+        for worker in self._others:
+            worker.answer()  # it is ready
+        self.observation_size, self.action_size = self._own.observation_size, self._own.action_size
+
+    def reset(self, seeds: Sequence[int] | None) -> NDArray[np.float32]:
+        """`Task.reset`, with a seed for every cell."""
+        return np.concatenate(self._each("reset", [seeds and seeds[part] for part in self._slices]))
+
+    def step(self, action: NDArray[np.floating]) -> list[Outcome]:
+        """`Task.step`; the outcomes of the parts together are those of all cells, in order."""
+        return self._each("step", [action[part] for part in self._slices])
+
+    def close(self) -> None:
+        """End the workers."""
+        for worker in self._others:
+            worker.close()
+
+    def _each(self, method: str, arguments: Sequence[Any]) -> list[Any]:
+        for worker, argument in zip(self._others, arguments[1:], strict=True):
+            worker.ask(method, argument)
+        own = getattr(self._own, method)(arguments[0])
+        return [own, *(worker.answer() for worker in self._others)]
+
+
+class _Worker:
+    """A task in a process of its own, which is asked first and answers later."""
+
+    def __init__(self, config: Config, cells: Sequence[CellId]):
+        # Spawned, because a fork of a process in which torch and OpenGL have threads may hang.
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, config, cells), daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def ask(self, method: str, argument: Any) -> None:
+        self._pipe.send((method, argument))
+
+    def answer(self) -> Any:
+        try:
+            answer = self._pipe.recv()
+        except EOFError:
+            raise RuntimeError("a worker process of the environment has ended by itself") from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def close(self) -> None:
+        self._pipe.close()
+        self._process.join()
+
+
+def _serve(pipe: Connection, config: Config, cells: Sequence[CellId]) -> None:
+    """Answer what comes through the pipe until its other end is closed."""
+    try:
+        task = Task(config, cells)
+        pipe.send(None)
+        while True:
+            method, argument = pipe.recv()
+            pipe.send(getattr(task, method)(argument))
+    except (EOFError, KeyboardInterrupt):
+        pass
+    except Exception as error:
+        pipe.send(error)
