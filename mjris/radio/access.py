@@ -102,25 +102,25 @@ def cluster_beams(channel: Array, clusters: Array) -> Array:
     return zero_forcing(xp.take_along_axis(channel, heads, axis=-2))
 
 
-def user_beams(channel: Array, clusters: Array, scheme: str) -> Array:
-    """The beam that every user is served with [..., M, K]: that of the cluster, or with "oma" one of its own."""
+def band_beams(channel: Array, clusters: Array) -> Array:
+    """The beam of every user with OMA [..., M, K], zero-forced among the users of its band."""
     xp = array_namespace(channel)
-    if scheme == "noma":
-        return xp.take(cluster_beams(channel, clusters), _cluster_of(clusters), axis=-1)
     bands = xp.matrix_transpose(clusters)
     beams = [zero_forcing(xp.take(channel, bands[band, ...], axis=-2)) for band in range(bands.shape[0])]
     return xp.take(xp.concat(beams, axis=-1), xp.argsort(xp.reshape(bands, (-1,))), axis=-1)
 
 
-def effective_gains(channel: Array, cluster_power_w: Array, clusters: Array, noise_w: float) -> Array:
+def effective_gains(
+    channel: Array, cluster_power_w: Array, clusters: Array, noise_w: float, beams: Array | None = None
+) -> Array:
     """e_k = |h_k g_v|² / (inter-cluster interference + noise) of every user [..., K] [1/W], eq. (SINROMA).
 
-    `cluster_power_w` [..., V] [W] is what each cluster transmits in all, `clusters` as from `partition`. The beam g_v
-    of a cluster is that of `cluster_beams`.
+    `cluster_power_w` [..., V] [W] is what each cluster transmits in all, `clusters` as from `partition`. The beams g_v
+    of the clusters [..., M, V] are those of `cluster_beams`, None to work them out.
     """
     xp = array_namespace(channel)
-    received = xp.abs(channel @ cluster_beams(channel, clusters)) ** 2
-    own = _cluster_of(clusters)[:, None] == xp.arange(clusters.shape[0], device=device(channel))
+    received = xp.abs(channel @ (cluster_beams(channel, clusters) if beams is None else beams)) ** 2
+    own = cluster_of(clusters)[:, None] == xp.arange(clusters.shape[0], device=device(channel))
     interference = xp.sum(xp.where(own, 0.0, received) * cluster_power_w[..., None, :], axis=-1)
     return xp.sum(xp.where(own, received, 0.0), axis=-1) / (interference + noise_w)
 
@@ -178,7 +178,7 @@ def _rates(sinr: Array, bandwidth_hz: float) -> Array:
     return bandwidth_hz / math.log(2) * array_namespace(sinr).log1p(sinr)
 
 
-def _cluster_of(clusters: Array) -> Array:
+def cluster_of(clusters: Array) -> Array:
     """The cluster of each user, int [K]."""
     return array_namespace(clusters).argsort(clusters.reshape((-1,))) // clusters.shape[1]
 

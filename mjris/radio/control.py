@@ -7,19 +7,23 @@ from array_api_compat import array_namespace, device
 
 from mjris.radio.access import (
     arranged,
+    band_beams,
     cancellation_rates,
+    cluster_beams,
+    cluster_of,
     decodable_gains,
     effective_gains,
     later_users,
     oma_rates,
     partition,
     resolve_order,
-    user_beams,
 )
 from mjris.radio.channel import Channels, effective_channel
 from mjris.radio.propagation import Array
 
 _MORE_THAN_ANY_BPS = 1e12
+_LINEAR_ITERATIONS = 2
+"""How often `qos_aligned_phases` goes for the sum of the gains, before it cares for every user."""
 
 
 def aligned_phases(channels: Channels, weights: Array | None = None, iterations: int = 3) -> Array:
@@ -47,29 +51,35 @@ def qos_aligned_phases(
     noise_w: float,
     qos_bps: float,
     weights: Array | None = None,
-    iterations: int = 5,
+    iterations: int = 7,
 ) -> Array:
     """Phases [..., N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum`.
 
     Starts at `aligned_phases`; then every iteration aligns all elements to Σ_k w_k |h_k g_k|², the users' gains through
-    their present beams, where whoever misses QoS has his weight raised fourfold. `weights` [..., K] > 0 are those of
-    the first iteration, None for one. Of all that it meets, it keeps the phases with QoS for every user, and among
-    those the highest sum rate. Other arguments as in `qos_or_sum`.
+    their present beams, with `weights` [..., K] > 0, None for one. From the third iteration on it is the sum of the
+    logarithms that counts, so that weak users do, too, and whoever misses QoS has his weight doubled. Of all that it
+    meets, it keeps the phases with QoS for every user, and among those the highest sum rate. Other arguments as in
+    `qos_or_sum`.
     """
     xp = array_namespace(*channels)
     phases = aligned_phases(channels, weights)
     response = xp.exp(1j * phases)
     raised = xp.ones(channels.direct.shape[:-1], dtype=phases.dtype) if weights is None else weights
     best = xp.full(phases.shape[:-1], -math.inf, dtype=phases.dtype)
-    for _ in range(iterations):
+    for iteration in range(iterations):
         channel = effective_channel(channels, response)
-        _, rates = qos_or_sum(channel, clusters, scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps)
+        _, rates, beams = _serve(channel, clusters, scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps)
         missed = rates < qos_bps
         score = xp.sum(rates, axis=-1) + xp.where(xp.any(missed, axis=-1), 0.0, _MORE_THAN_ANY_BPS)
         phases = xp.where((score > best)[..., None], xp.atan2(xp.imag(response), xp.real(response)), phases)
         best = xp.maximum(best, score)
-        raised = xp.where(missed, 4.0 * raised, raised)
-        response = _beam_aligned_response(channels, channel, user_beams(channel, clusters, scheme), raised, response)
+        own = xp.sum(channel * xp.matrix_transpose(beams), axis=-1)
+        if iteration < _LINEAR_ITERATIONS:
+            pull = raised * xp.conj(own)
+        else:
+            raised = xp.where(missed, 2.0 * raised, raised)
+            pull = raised / own  # conj(own) / |own|²
+        response = _beam_aligned_response(channels, beams, pull, response)
     return phases
 
 
@@ -131,20 +141,44 @@ def qos_or_sum(
     or else for the QoS itself. If not, it is missed anyhow, and only the sum counts: then the strongest user of a
     cluster has all of its power. With "oma" every user has P/K.
     """
+    powers, rates, _ = _serve(channel, clusters, scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps, wanted_bps)
+    return powers, rates
+
+
+def _serve(
+    channel: Array,
+    clusters: Array,
+    scheme: str,
+    tx_power_w: float,
+    bandwidth_hz: float,
+    noise_w: float,
+    qos_bps: float,
+    wanted_bps: Array | None = None,
+) -> tuple[Array, Array, Array]:
+    """Powers and rates of `qos_or_sum`, and the beam of every user [..., M, K]."""
     xp = array_namespace(channel)
+    clusters = partition(clusters, channel.shape[-2], channel)
     if _is_oma(scheme):
         powers = qos_first_powers(channel, clusters, scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps)
-        return powers, oma_rates(channel, powers, clusters, bandwidth_hz, noise_w)
-    clusters = partition(clusters, channel.shape[-2], channel)
-    decoding = _decoding(channel, clusters, tx_power_w, noise_w)
-    powers = _first_split(decoding, clusters, tx_power_w, bandwidth_hz, 0.0)
-    rates = cancellation_rates(decoding.gains, powers, decoding.later, bandwidth_hz)
-    for least_bps in (qos_bps,) if wanted_bps is None else (qos_bps, wanted_bps):
-        tried = _first_split(decoding, clusters, tx_power_w, bandwidth_hz, least_bps)
-        reached = cancellation_rates(decoding.gains, tried, decoding.later, bandwidth_hz)
-        met = xp.all(reached >= qos_bps, axis=-1, keepdims=True)
-        powers, rates = xp.where(met, tried, powers), xp.where(met, reached, rates)
-    return powers, rates
+        rates = oma_rates(channel, powers, clusters, bandwidth_hz, noise_w)
+        return powers, rates, band_beams(channel, clusters)
+    beams = cluster_beams(channel, clusters)
+    decoding = _decoding(channel, clusters, tx_power_w, noise_w, beams=beams)
+    least = xp.full_like(decoding.gains, qos_bps)
+    # What is asked for from last to first choice, all of them tried at once.
+    choices = [
+        xp.zeros_like(least),
+        least,
+        *(() if wanted_bps is None else (xp.broadcast_to(wanted_bps, least.shape),)),
+    ]
+    tried = _first_split(decoding, clusters, tx_power_w, bandwidth_hz, xp.stack(choices))
+    reached = cancellation_rates(decoding.gains, tried, decoding.later, bandwidth_hz)
+    powers, rates = tried[0, ...], reached[0, ...]
+    for choice in range(1, len(choices)):
+        met = xp.all(reached[choice, ...] >= qos_bps, axis=-1, keepdims=True)
+        powers = xp.where(met, tried[choice, ...], powers)
+        rates = xp.where(met, reached[choice, ...], rates)
+    return powers, rates, xp.take(beams, cluster_of(clusters), axis=-1)
 
 
 class _Decoding(NamedTuple):
@@ -159,29 +193,44 @@ class _Decoding(NamedTuple):
 
 
 def _decoding(
-    channel: Array, clusters: Array, tx_power_w: float, noise_w: float, order: Array | None = None
+    channel: Array,
+    clusters: Array,
+    tx_power_w: float,
+    noise_w: float,
+    order: Array | None = None,
+    beams: Array | None = None,
 ) -> _Decoding:
     xp = array_namespace(channel)
     budgets = xp.full((clusters.shape[0],), tx_power_w / clusters.shape[0], dtype=xp.float64, device=device(channel))
-    gains = effective_gains(channel, budgets, clusters, noise_w)
+    gains = effective_gains(channel, budgets, clusters, noise_w, beams)
     resolved = resolve_order(gains, clusters, order)
     sequence = xp.broadcast_to(xp.reshape(resolved, (*resolved.shape[:-2], gains.shape[-1])), gains.shape)
     return _Decoding(gains, later_users(resolved), sequence)
 
 
 def _first_split(decoding: _Decoding, clusters: Array, tx_power_w: float, bandwidth_hz: float, qos_bps: Array) -> Array:
-    """`qos_first_split` of all clusters, powers [..., K] [W], for one QoS or that of every user [..., K]."""
+    """`qos_first_split` of all clusters, powers [..., K] [W], for one QoS or that of every user [..., K].
+
+    The QoS may have further leading axes, and then the powers have them, too.
+    """
     xp = array_namespace(decoding.gains)
 
     def decoded(values: Array) -> Array:
-        in_order = xp.take_along_axis(xp.broadcast_to(values, decoding.sequence.shape), decoding.sequence, axis=-1)
+        in_order = _along(values, decoding.sequence)
         return xp.reshape(in_order, (*in_order.shape[:-1], *clusters.shape))
 
     gains = decoded(decodable_gains(decoding.gains, decoding.later))
-    budgets = xp.full_like(gains[..., 0], tx_power_w / clusters.shape[0])
     least = decoded(xp.asarray(qos_bps, dtype=gains.dtype, device=device(gains)))
-    powers = xp.reshape(qos_first_split(gains, budgets, bandwidth_hz, least), decoding.sequence.shape)
-    return xp.take_along_axis(powers, xp.argsort(decoding.sequence, axis=-1), axis=-1)
+    budgets = xp.full_like(least[..., 0], tx_power_w / clusters.shape[0])
+    powers = qos_first_split(xp.broadcast_to(gains, least.shape), budgets, bandwidth_hz, least)
+    return _along(xp.reshape(powers, (*powers.shape[:-2], -1)), xp.argsort(decoding.sequence, axis=-1))
+
+
+def _along(values: Array, index: Array) -> Array:
+    """`values` [..., K] in the order of `index` [..., K], each broadcast to the other."""
+    xp = array_namespace(index)
+    shape = values.shape if values.ndim > index.ndim else index.shape
+    return xp.take_along_axis(xp.broadcast_to(values, shape), xp.broadcast_to(index, shape), axis=-1)
 
 
 def qos_first_split(gains: Array, budget_w: Array, bandwidth_hz: float, qos_bps: Array) -> Array:
@@ -217,15 +266,14 @@ def _aligned_response(channels: Channels, channel: Array, weights: Array | None,
     return _opposite_phase(pull, response)
 
 
-def _beam_aligned_response(channels: Channels, channel: Array, beams: Array, weights: Array, response: Array) -> Array:
-    """Coefficients [..., N] aligned to h_k g_k of `channel` [..., K, M] and `beams` [..., M, K], by `weights` [..., K].
+def _beam_aligned_response(channels: Channels, beams: Array, pull: Array, response: Array) -> Array:
+    """Coefficients [..., N] aligned to Σ_k pull_k h_k g_k for `beams` g [..., M, K] that are held, `pull` [..., K].
 
-    The tangent of Σ_k w_k |h_k g_k|² with the beams held, as in `_aligned_response`.
+    With w_k conj(h_k g_k) of the present channel, the tangent of Σ_k w_k |h_k g_k|² as in `_aligned_response`.
     """
-    xp = array_namespace(channel)
-    own = xp.sum(channel * xp.matrix_transpose(beams), axis=-1)
+    xp = array_namespace(beams)
     through = channels.reflected * xp.matrix_transpose(channels.incident @ beams)
-    return _opposite_phase(xp.sum((weights * xp.conj(own))[..., None] * through, axis=-2), response)
+    return _opposite_phase(xp.sum(pull[..., None] * through, axis=-2), response)
 
 
 def _opposite_phase(pull: Array, response: Array) -> Array:
