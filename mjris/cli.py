@@ -3,9 +3,10 @@
 import math
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
 import tyro
 
@@ -47,12 +48,16 @@ class Train:
 
 @dataclass(kw_only=True)
 class Evaluate:
-    """Play the trained agent and its rivals on the same held-out scenes: parked, random phases, no RIS, planner."""
+    """Play the trained agent and its rivals on the same held-out scenes: parked, random phases, no RIS, planner.
 
-    run_dir: Annotated[Path, tyro.conf.arg(name="run")]
-    """Run folder of `mjris train`; its config is where defaults come from."""
+    Beside the table come figures of the learning curve, of where the agent heads from every place, and of its phases.
+    """
+
+    run_dirs: Annotated[tuple[Path, ...], tyro.conf.arg(name="run")]
+    """Run folder of `mjris train`, whose agent is played and whose config is where defaults come from; and more of the
+    same config with other seeds, for the learning curve."""
     out: Path | None = None
-    """Where the table goes (.csv); evaluation.csv in the run folder by default."""
+    """Where the table goes (.csv), with the figures beside it; evaluation.csv in the (first) run folder by default."""
     scenes: int = 50
     """Held-out scenes, played together."""
     scene_seed: int = 1_000_003
@@ -65,16 +70,17 @@ class Evaluate:
     config: Flags[Config] = field(default_factory=Config)
 
     def run(self) -> None:
-        """Evaluate, print the table and write it."""
+        """Evaluate, print the table, write it and draw."""
         from rich.console import Console
 
         from mjris.eval.evaluate import compare
 
+        _check_alike(self.run_dirs)
         console = Console()
         if not console.is_terminal:
             # A file has no width; the 80 columns that rich takes it for would fold the cells.
             console.width = 120
-        act = _learned(self.run_dir, self.cell, self.config)
+        act = _learned(self.run_dirs[0], self.cell, self.config)
         with console.status("") as status:
             table = compare(
                 self.config,
@@ -85,10 +91,25 @@ class Evaluate:
                 with_planner=self.planner,
             )
         _print_table(console, table)
-        path = self.out or self.run_dir / "evaluation.csv"
+        path = self.out or self.run_dirs[0] / "evaluation.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         table.to_csv(path, index=False, float_format="%.6g")
         console.print(f"table: {path}", highlight=False, soft_wrap=True)
+        with console.status("figures"):
+            figures = self._draw(act, table, path.parent)
+        for figure in figures:
+            console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
+
+    def _draw(self, act: "Act", table: "pd.DataFrame", folder: Path) -> list[Path]:
+        """Write the figures; returns their paths."""
+        from mjris.show.curves import plot_learning, plot_phases, track_phases
+        from mjris.show.field import motion_field, plot_motion_field
+
+        curve, field, phases = paths = [folder / f"{name}.png" for name in ("learning_curve", "motion_field", "phases")]
+        plot_learning(self.run_dirs, table, curve)
+        plot_motion_field(self.config, motion_field(self.config, act, self.scene_seed), field)
+        plot_phases(track_phases(self.config, act, self.scene_seed), phases)
+        return paths
 
 
 @dataclass(kw_only=True)
@@ -200,7 +221,7 @@ def _parse(argv: list[str]) -> Train | Evaluate | Render | Map:
     missing = tyro.MISSING
     commands = Union[  # noqa: UP007 - built at run time
         Annotated[Train, tyro.conf.subcommand("train", default=Train(out=missing, config=config))],
-        Annotated[Evaluate, tyro.conf.subcommand("evaluate", default=Evaluate(run_dir=missing, config=config))],
+        Annotated[Evaluate, tyro.conf.subcommand("evaluate", default=Evaluate(run_dirs=missing, config=config))],
         Annotated[Render, tyro.conf.subcommand("render", default=Render(run_dir=missing, config=config))],
         Annotated[Map, tyro.conf.subcommand("map", default=Map(out=missing, config=config))],
     ]
@@ -215,6 +236,31 @@ def _value(argv: list[str], flag: str) -> str | None:
         if here.startswith(f"{flag}="):
             return here.removeprefix(f"{flag}=")
     return None
+
+
+def _check_alike(run_dirs: Sequence[Path]) -> None:
+    """Raise `ConfigError` unless there are runs, and their configs differ in nothing but their seeds."""
+    if not run_dirs:
+        raise ConfigError("run: no folder is given: it takes one or more")
+    configs = [load(run / "config.json") for run in run_dirs]
+    first, *others = [_fields(config) for config in configs]
+    for run, other in zip(run_dirs[1:], others, strict=True):
+        for name, value in other.items():
+            if value != first[name]:
+                raise ConfigError(
+                    f"run: {run} is not allowed beside {run_dirs[0]}: its {name} is {value!r} and not {first[name]!r}, "
+                    "and only seeds may differ"
+                )
+    seeds = [config.seed for config in configs]
+    if len(set(seeds)) < len(seeds):
+        raise ConfigError(f"run: seeds {seeds} are not allowed: every run must have a seed of its own")
+
+
+def _fields(config: Config) -> dict[str, Any]:
+    """Every field but the seed, by names like world.layout."""
+    sections = config.to_dict()
+    del sections["seed"]
+    return {f"{section}.{name}": value for section, fields in sections.items() for name, value in fields.items()}
 
 
 def _load_opengl() -> None:

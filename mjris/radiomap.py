@@ -49,10 +49,9 @@ def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
 
 def node_values(simulator: Simulator) -> FloatArray:
     """`place_values` [E, n] [bit/s] at the nodes of `World.paths`, -inf where unreachable."""
-    paths, cells = simulator.world.paths, simulator.num_cells
-    parts = np.array_split(paths.nodes, max(1, len(paths.nodes) * cells // _CHUNK))
-    values = [place_values(simulator, np.broadcast_to(part, (cells, *part.shape))) for part in parts]
-    return np.where(paths.reachable, np.concatenate(values, 1), -np.inf)
+    paths = simulator.world.paths
+    places = np.broadcast_to(paths.nodes, (simulator.num_cells, *paths.nodes.shape))
+    return np.where(paths.reachable, _in_chunks(simulator, places), -np.inf)
 
 
 def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArray, FloatArray]:
@@ -64,14 +63,24 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
     world, paths = simulator.world, simulator.world.paths
     here = world.fleet.xy
     horizon_m = horizon_slots * world.config.max_speed_mps * world.config.slot_s
-    present, values = place_values(simulator, here[:, None])[:, 0], node_values(simulator)
-    way_m, on_the_way = paths.along(here, present, values)
+    way_m = paths.distance_to_nodes(here)
     within = way_m < horizon_m
-    staying = np.maximum(horizon_m - way_m, 0) * np.where(within, values, 0)
-    total = np.where(within, on_the_way + staying, -np.inf)
+    # Only what can be reached by then is valued: as many nodes in every cell as in the one that has most.
+    near = np.argsort(~within, axis=1, kind="stable")[:, : within.sum(1).max()]
+    predicted = _in_chunks(simulator, np.concatenate([here[:, None], paths.nodes[near]], 1))
+    present, values = predicted[:, 0], np.zeros(way_m.shape)
+    np.put_along_axis(values, near, predicted[:, 1:], 1)
+    staying = np.maximum(horizon_m - way_m, 0) * values
+    total = np.where(within, paths.along(way_m, present, values) + staying, -np.inf)
     stay = horizon_m * present >= total.max(1)
     goal = np.where(stay[:, None], here, paths.nodes[total.argmax(1)])
     return goal, np.maximum(horizon_m * present, total.max(1)) / horizon_m
+
+
+def _in_chunks(simulator: Simulator, places: FloatArray) -> FloatArray:
+    """`place_values`, of some of the places at a time."""
+    parts = np.array_split(places, max(1, places.shape[0] * places.shape[1] // _CHUNK), axis=1)
+    return np.concatenate([place_values(simulator, part) for part in parts], 1)
 
 
 def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArray:

@@ -17,8 +17,6 @@ _MAP_RADII_M = (0.6, 2.0, 5.0)
 _MAP_DIRECTIONS = 8
 _GOAL_REACH_M = 4.0
 """How far an action may move the goal of the radio map."""
-_REPLAN_SLOTS = 3
-"""How often the goals of the radio map are planned: users hardly move in between."""
 _FAR_M = 12.0
 """The furthest waypoint, and what counts as one in observations: about half the diagonal of the default office."""
 
@@ -193,9 +191,9 @@ class Task:
         return [_scaled_loss(-20 * np.log10(np.maximum(amplitude, 1e-9))) for amplitude in (strength, panel)]
 
     def _goals(self) -> tuple[FloatArray, FloatArray]:
-        """`best_goals`, planned anew every few slots."""
+        """`best_goals` of the present slot: what is observed is also what the action corrects."""
         simulator = self.simulator
-        now = simulator.resets, simulator.slots // _REPLAN_SLOTS
+        now = simulator.resets, simulator.slots
         if now != self._planned_at:
             self._planned_at, self._planned = now, best_goals(simulator)
         return self._planned

@@ -8,6 +8,15 @@ ROVER = "#e69f00"
 STOPS = "#0072b2"
 USERS = ("#d6409f", "#56b4e9", "#9c5a2a", "#7a5bd0", "#e0cf1f", "#f2f2f2")
 """Users in turn; more than these share colours."""
+RIVALS = {
+    "planner": ("#000000", "--"),
+    "reference controls": ("#009e73", "-."),
+    "fixed RIS": ("#d55e00", (0, (5, 1, 1, 1, 1, 1))),
+    "no RIS, best powers": ("#7f7f7f", ":"),
+}
+"""Policies that an agent is compared with: colours, and lines that stay apart in grey print."""
+RANDOM = "#d55e00"
+"""Random phases."""
 
 
 def user_colour(user: int) -> str:

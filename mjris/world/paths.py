@@ -89,15 +89,14 @@ class Paths:
         office = self._office(np.arange(len(start)))[:, None]
         return (first_m[..., None] + self.distances[office, first]).min(1)
 
-    def along(self, start: FloatArray, present: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lengths [E, n] [m] of the shortest ways to all nodes, and the integrals of a value along them [E, n].
+    def along(self, length: FloatArray, present: FloatArray, values: FloatArray) -> FloatArray:
+        """Integrals of a value along the shortest ways to all nodes [E, n], for their lengths [E, n] [m].
 
-        The value is `present` [E] at `start` [E, 2] [m] and `values` [E, n] at the nodes, and changes evenly between
-        them. Lengths are inf and integrals zero for nodes that cannot be reached.
+        The lengths are those of `distance_to_nodes`. The value is `present` [E] at the start and `values` [E, n] at
+        the nodes, and changes evenly between them. Zero for nodes that cannot be reached.
         """
-        length = self.distance_to_nodes(start)
-        row = np.arange(len(start))[:, None]
-        office = self._office(np.arange(len(start)))
+        row = np.arange(len(length))[:, None]
+        office = self._office(np.arange(len(length)))
         before = length[:, self._neighbours] + self._edge_m[office]
         choice = before.argmin(-1)[..., None]
         # Nodes whose way comes straight from the start are the roots of a forest.
@@ -112,7 +111,7 @@ class Paths:
         while (parent != parent[row, parent]).any():
             integral += integral[row, parent]
             parent = parent[row, parent]
-        return length, integral + first[row, parent]
+        return integral + first[row, parent]
 
     def around(self, start: FloatArray, target: FloatArray, people: FloatArray, gap_m: float) -> FloatArray:
         """Places [E, 2] [m] to drive straight at from `start` to `target` [E, 2] [m], around `people` [E, K, 2] [m].

@@ -1,0 +1,177 @@
+"""Curves over time: learning over the episodes of several seeds, and an episode's phases against the aligned ones."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from mjris.config import Config, ConfigError, load
+from mjris.eval.policies import Act, agent_policies
+from mjris.show.palette import RANDOM, RIVALS, STOPS
+from mjris.task import Task
+
+FloatArray = NDArray[np.floating]
+
+_WIDTH_IN = 3.5
+"""Half a page."""
+_STYLE = {"font.size": 7, "axes.linewidth": 0.6}
+_WINDOW = 10
+"""Episodes of the running mean."""
+_SCENES = 16
+"""Scenes whose phases are compared."""
+_BIN_DEG = 10
+_QUADRATURE = 100_001
+
+
+@dataclass(frozen=True)
+class PhaseTrack:
+    """T slots of S scenes: the phases of N elements beside the closed-form aligned ones."""
+
+    difference_rad: FloatArray
+    """Commanded minus aligned, in [-π, π), [T, S, N] [rad]."""
+    gain_db: FloatArray
+    """Σ_k ‖h_k‖² over that of the aligned phases [T, S] [dB]."""
+    random_gain_db: FloatArray
+    """The same for random phases [T, S] [dB]."""
+
+
+def plot_learning(runs: Sequence[Path], table: pd.DataFrame, path: Path) -> None:
+    """Write sum rate and reward over the episodes of run folders, as a PNG or PDF file.
+
+    Shown are means over cells and seeds, smoothed by a running mean, with the 95 % interval over seeds where there are
+    several, and the rivals of an evaluation `table` where the unit is theirs. Raises `ConfigError` as `read_metric`.
+    """
+    task = load(runs[0] / "config.json").task
+    penalised = task.reward == "sum_rate" and task.effort_cost == 0
+    panels = {
+        "sum_rate_mbps": ("sum rate [Mb/s]", "sum_rate_mbps"),
+        "reward": ("reward [Mb/s]", "penalised_mbps" if penalised else None),
+    }
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(_WIDTH_IN, 3.6), dpi=300, layout="compressed")
+        for axes, (metric, (words, rivals)) in zip(figure.subplots(2, sharex=True), panels.items(), strict=True):
+            _draw_curve(axes, read_metric(runs, metric))
+            if rivals is not None:
+                _draw_rivals(axes, table.set_index("policy")[rivals])
+            axes.set_ylabel(words)
+        axes.set_xlabel("episode")
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, handlelength=3)
+        figure.savefig(path)
+
+
+def read_metric(runs: Sequence[Path], metric: str) -> pd.DataFrame:
+    """A column of the metrics.csv of run folders: means over cells, a row an episode and a column a run.
+
+    Episodes that not all runs have are left out. Raises `ConfigError` for a file that cannot be read or has no rows.
+    """
+    curves = []
+    for run in runs:
+        try:
+            rows = pd.read_csv(run / "metrics.csv")
+        except OSError as error:
+            raise ConfigError(f"{run / 'metrics.csv'}: cannot be read: {error.strerror}") from None
+        if rows.empty:
+            raise ConfigError(f"{run / 'metrics.csv'}: has no episodes: the run must be trained for a round at least")
+        curves.append(rows.groupby("episode")[metric].mean())
+    return pd.concat(curves, axis=1, join="inner", keys=range(len(curves)))
+
+
+def student_interval(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """95 % Student-t interval [...] of the means of `samples` [S, ...] over their first axis, S > 1."""
+    count = len(samples)
+    half = _student_quantile(count - 1) * samples.std(0, ddof=1) / np.sqrt(count)
+    return samples.mean(0) - half, samples.mean(0) + half
+
+
+def track_phases(config: Config, act: Act, seed: int) -> PhaseTrack:
+    """The phases of an agent in an episode of some scenes, all stepped together, which follow from `seed`."""
+    policy = agent_policies(act)[0]
+    radio = replace(config.radio, difference_factor=1.0)
+    task = Task(replace(config, task=replace(config.task, **policy.changes), radio=radio), cells=_SCENES)
+    task.reset(seed)
+    simulator = task.simulator
+    differences, gains = [], []
+    for _ in range(config.task.slots):
+        controls = policy.controls(task)
+        aligned = simulator.reference_phases()
+        differences.append((controls.phases_rad - aligned + np.pi) % (2 * np.pi) - np.pi)
+        compared = (aligned, controls.phases_rad, simulator.random_phases())
+        gains.append([(np.abs(simulator.effective_channel(phases)) ** 2).sum((-2, -1)) for phases in compared])
+        simulator.step(*controls)
+    reference, learned, random = np.moveaxis(10 * np.log10(gains), 1, 0)
+    return PhaseTrack(np.stack(differences), learned - reference, random - reference)
+
+
+def plot_phases(track: PhaseTrack, path: Path) -> None:
+    """Write how commanded phases differ from the aligned ones, and what that does to the channel, as a PNG or PDF."""
+    slots, scenes, _ = track.difference_rad.shape
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(_WIDTH_IN, 3.6), dpi=300, layout="compressed")
+        above, below = figure.subplots(2)
+        edges = np.arange(-180, 180 + _BIN_DEG, _BIN_DEG)
+        counts, _ = np.histogram(np.degrees(track.difference_rad), edges)
+        above.stairs(100 * counts / counts.sum(), edges, fill=True, color=STOPS, label="learned")
+        above.axhline(100 / len(counts), ls="--", lw=1.0, color=RANDOM, label="random phases")
+        above.set(xlim=(-180, 180), xticks=range(-180, 181, 60), xlabel="learned minus aligned phase [°]")
+        above.set_ylabel("share of elements [%]")
+        _draw_spread(below, track.gain_db, STOPS, "-")
+        _draw_spread(below, track.random_gain_db, RANDOM, "--")
+        below.axhline(0, lw=0.6, color="black")
+        below.annotate(
+            "aligned phases",
+            (1, 0),
+            (0, 2),
+            xycoords=("axes fraction", "data"),
+            textcoords="offset points",
+            ha="right",
+            fontsize=6,
+        )
+        below.set(xlim=(1, max(slots, 2)), xlabel="slot", ylabel="channel gain over aligned [dB]")
+        below.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        handles, labels = above.get_legend_handles_labels()
+        title = f"below: median and middle 80 % of {scenes} scenes"
+        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, title=title)
+        figure.savefig(path)
+
+
+def _draw_curve(axes: Axes, curve: pd.DataFrame) -> None:
+    """A running mean over episodes, with the interval over seeds where there are several."""
+    smooth = curve.rolling(_WINDOW, min_periods=1).mean()
+    seeds = smooth.shape[1]
+    words = f"training, {seeds} seeds, 95 % interval" if seeds > 1 else "training"
+    axes.plot(smooth.index, smooth.mean(axis=1), color=STOPS, lw=1.4, label=words, zorder=3)
+    if seeds > 1:
+        axes.fill_between(smooth.index, *student_interval(smooth.to_numpy().T), color=STOPS, alpha=0.25, lw=0)
+
+
+def _draw_rivals(axes: Axes, values: pd.Series) -> None:
+    for name, (colour, style) in RIVALS.items():
+        if name in values:
+            axes.axhline(values[name], color=colour, ls=style, lw=1.0, label=name)
+
+
+def _draw_spread(axes: Axes, values: FloatArray, colour: str, style: str) -> None:
+    """Median and middle 80 % over scenes of `values` [T, S]."""
+    slot = np.arange(1, len(values) + 1)
+    low, median, high = np.percentile(values, [10, 50, 90], axis=1)
+    axes.fill_between(slot, low, high, color=colour, alpha=0.25, lw=0)
+    axes.plot(slot, median, color=colour, ls=style, lw=1.2)
+
+
+def _student_quantile(freedom: int) -> float:
+    """The 97.5 % quantile of Student's t distribution.
+
+    With t = √f tan u the density is proportional to cos^(f-1) u, which has no tails to cut off.
+    """
+    u = np.linspace(0, np.pi / 2, _QUADRATURE)
+    share = np.cumsum(np.cos(u) ** (freedom - 1))
+    return float(np.sqrt(freedom) * np.tan(np.interp(0.95 * share[-1], share, u)))
