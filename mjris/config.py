@@ -172,6 +172,9 @@ class Task:
     """How far above the QoS an action can set a user's least rate, relative."""
     effort_cost: NonNegative = 0.0
     """What full corrections (of a goal, weights, or least rates) cost in the reward [Mb/s]."""
+    map_potential: NonNegative = 0.0
+    """Weight of what the radio map says that the RIS gains where the rover is, as a potential in the reward; with
+    1/(1 - γ) the critic has only to learn how the map errs, and the best policy stays the same."""
     observation: Literal["csi", "map"] = "csi"
     """csi: the paper's state; map: geometry in the rover's frame and the gain map around it."""
     reward: Literal["sum_rate", "gain"] = "sum_rate"
@@ -319,8 +322,8 @@ _PAPER = Config(radio=Radio(element_pattern="isotropic"))
 _OFFICE = Config(
     world=World(drive="kinematic"),
     task=Task(motion="goal", phase_control="weights", power_reference="qos", observation="map", reward="gain"),
-    agent=Agent(network="mlp", batch_size=128, discount=0.98, target_rate=0.005),
-    federation=Federation(episodes=100),
+    agent=Agent(network="mlp", batch_size=128, discount=0.9, target_rate=0.005, noise_scale=0.3, caution=1.0),
+    federation=Federation(episodes=100, round_episodes=10),
 )
 
 _DEMO = Config(

@@ -36,10 +36,18 @@ def link_gains(simulator: Simulator, places: FloatArray) -> tuple[FloatArray, Fl
 
 def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
     """Predicted sum rate with the QoS penalty, [E, P] [bit/s], with the RIS at `places` [E, P, 2] [m]."""
+    return _values(simulator, *link_gains(simulator, places))
+
+
+def bare_values(simulator: Simulator) -> FloatArray:
+    """The same prediction without RIS, [E] [bit/s]."""
+    nothing = np.zeros((simulator.num_cells, 1, simulator.config.world.num_users))
+    return _values(simulator, nothing[..., 0], nothing)[:, 0]
+
+
+def _values(simulator: Simulator, incident: FloatArray, reflected: FloatArray) -> FloatArray:
     config = simulator.config
-    num_users = config.world.num_users
-    incident, reflected = link_gains(simulator, places)
-    direct = propagation.db_to_linear(-simulator.scene.path_loss_db[:, None, :num_users])
+    direct = propagation.db_to_linear(-simulator.scene.path_loss_db[:, None, : config.world.num_users])
     direct = np.broadcast_to(direct, reflected.shape)
     rates = prediction.predicted_rates(
         direct, incident, reflected, simulator.clusters, config.radio, config.task.qos_bps

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.radio import control
-from mjris.radiomap import best_goals, penalised, place_values
+from mjris.radiomap import bare_values, best_goals, penalised, place_values
 from mjris.simulator import CellId, Controls, Simulator, Slot
 
 FloatArray = NDArray[np.floating]
@@ -73,8 +73,18 @@ class Task:
 
     def step(self, action: FloatArray) -> Outcome:
         """Play one slot with actions [E, A]."""
+        before = self._potential()
         slot = self.simulator.step(*self.decode(action))
-        return Outcome(self.observe(), self.reward(slot) - self._effort(action), slot)
+        shaping = self.config.agent.discount * self._potential() - before
+        return Outcome(self.observe(), self.reward(slot) - self._effort(action) + shaping, slot)
+
+    def _potential(self) -> FloatArray:
+        """Potential of the present scene [E] [Mb/s], for rewards shaped as in Ng, Harada and Russell (1999)."""
+        weight = self.config.task.map_potential
+        if weight == 0:
+            return np.zeros(self.simulator.num_cells)
+        here = place_values(self.simulator, self.simulator.scene.rover_xy[:, None])[:, 0]
+        return weight * (here - bare_values(self.simulator)) / 1e6
 
     def _effort(self, action: FloatArray) -> FloatArray:
         """What corrections to the closed forms cost [E] [Mb/s]: the mean square of those entries."""

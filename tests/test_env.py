@@ -14,7 +14,7 @@ import mjris
 from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv, OfficeVecEnv
 from mjris.radio import control
-from mjris.radiomap import best_goals
+from mjris.radiomap import bare_values, best_goals, place_values
 from mjris.simulator import CellId
 from mjris.task import Task
 
@@ -271,6 +271,24 @@ def test_rewards():
             np.testing.assert_allclose(outcome.reward, value(outcome.slot.rates_bps) - bare, atol=1e-12)
             missed.append(~outcome.slot.qos_met.all(-1))
         assert 0 < np.mean(missed) < 1
+
+
+def test_the_map_as_a_potential_shapes_rewards_and_adds_up_to_its_ends():
+    plain, shaped = Task(changed(OFFICE), cells=3), Task(changed(OFFICE, map_potential=4.0), cells=3)
+    rng = np.random.default_rng(0)
+    discount, total, factor = OFFICE.agent.discount, np.zeros(3), 1.0
+
+    def potential() -> np.ndarray:
+        made = shaped.simulator
+        return 4e-6 * (place_values(made, made.scene.rover_xy[:, None])[:, 0] - bare_values(made))
+
+    first = potential()
+    for _ in range(10):
+        action = rng.uniform(-1, 1, (3, plain.action_size))
+        total += factor * (shaped.step(action).reward - plain.step(action).reward)
+        factor *= discount
+    np.testing.assert_allclose(total, factor * potential() - first, atol=1e-9)
+    assert np.abs(total).max() > 0.05
 
 
 def test_corrections_cost_their_mean_square():

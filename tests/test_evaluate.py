@@ -1,4 +1,5 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -6,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from mjris.cli import _print_table, main
-from mjris.config import Config, ConfigError, Radio, Task, World, preset
+from mjris.config import Config, ConfigError, Radio, Task, World, load, preset
 from mjris.eval.bound import upper_bound
 from mjris.eval.evaluate import compare, gain_percent, interval, play
 from mjris.eval.optimum import best_known, best_powers
@@ -184,12 +185,62 @@ def test_the_evaluation_counts_the_slots_that_break_a_constraint():
     assert dynamic["violated_decoding_order"].tolist() == [0] * 6
 
 
-def test_the_command_writes_the_table_of_a_trained_run(tmp_path, capsys):
-    run = tmp_path / "run"
-    flags = ["--world.layout", "clinic", "--task.slots", "3", "--agent.warmup-slots", "0"]
-    main(["train", "--out", str(run), *flags, "--federation.num-cells", "1", "--federation.episodes", "1"])
-    main(["evaluate", "--run", str(run), "--scenes", "2", "--no-planner"])
-    table = pd.read_csv(run / "evaluation.csv")
+FIGURES = ("learning_curve.png", "motion_field.png", "phases.png")
+
+
+def train(out, *flags: str) -> str:
+    small = ["--world.layout", "clinic", "--task.slots", "3", "--agent.warmup-slots", "0"]
+    main(["train", "--out", str(out), *small, "--federation.num-cells", "1", "--federation.episodes", "1", *flags])
+    return str(out)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> str:
+    return train(tmp_path_factory.mktemp("runs") / "first")
+
+
+@pytest.fixture(scope="module")
+def evaluation(run, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("out") / "new" / "table.csv"
+    main(["evaluate", "--run", run, "--scenes", "2", "--no-planner", "--out", str(path)])
+    return path
+
+
+def test_the_command_writes_the_table_and_figures_of_a_trained_run(evaluation):
+    table = pd.read_csv(evaluation)
     assert table["policy"].tolist() == POLICIES[:-2]
     assert not [name for name in table.columns if name.startswith("percent_of")]
+    assert sorted(each.name for each in evaluation.parent.iterdir()) == sorted([*FIGURES, "table.csv"])
+
+
+def test_more_runs_change_the_learning_curve_alone(run, evaluation, tmp_path, capsys):
+    second = train(tmp_path / "second", "--seed", "2")
+    main(["evaluate", "--run", run, second, "--scenes", "2", "--no-planner"])
     assert "2 held-out scenes" in capsys.readouterr().out
+    pd.testing.assert_frame_equal(pd.read_csv(evaluation), pd.read_csv(Path(run) / "evaluation.csv"))
+    same = [(evaluation.parent / name).read_bytes() == (Path(run) / name).read_bytes() for name in FIGURES]
+    assert same == [False, True, True]
+
+
+def test_runs_that_differ_in_more_than_seeds_are_one_sentence(run, tmp_path, capsys):
+    other = tmp_path / "other"
+    other.mkdir()
+    made = load(Path(run) / "config.json")
+    for config, sentence in (
+        (replace(made, seed=2, agent=replace(made.agent, discount=0.5)), "its agent.discount is 0.5 and not "),
+        (made, "run: seeds [0, 0] are not allowed: every run must have a seed of its own"),
+    ):
+        (other / "config.json").write_text(config.to_json())
+        with pytest.raises(SystemExit) as end:
+            main(["evaluate", "--run", run, str(other)])
+        assert end.value.code == 2
+        error = capsys.readouterr().err
+        assert sentence in error
+        assert error.count("\n") == 1
+
+
+def test_the_command_needs_a_run(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["evaluate", "--run"])
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "mjris: run: no folder is given: it takes one or more\n"

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjris.config import preset
-from mjris.radiomap import best_goals, link_gains, node_values, penalised, place_values
+from mjris.radiomap import bare_values, best_goals, link_gains, node_values, penalised, place_values
 from mjris.simulator import Simulator
 
 OFFICE = preset("office")
@@ -48,6 +48,7 @@ def test_a_place_behind_the_world_is_worth_what_the_direct_channel_is(simulator)
     none = replace(OFFICE, radio=replace(OFFICE.radio, element_amplitude=0.0))
     bare = place_values(Simulator(none, cells=3), np.full((3, 1, 2), 5.0))
     np.testing.assert_allclose(far, bare, rtol=1e-6)
+    np.testing.assert_allclose(bare_values(simulator), bare[:, 0], rtol=1e-12)
 
 
 def test_goals_promise_the_most_of_all_places_and_of_staying(simulator):

@@ -99,8 +99,8 @@ def _write_round(out: Path, round_: int, results: Results, save: Callable[[Path]
     return metrics
 
 
-def load_policy(run_dir: Path, cell: int = 0, *, make_env: EnvFactory = OfficeEnv) -> DDPG:
-    """The agent of a cell from the last checkpoint of a run folder, with an environment of that cell.
+def load_policy(run_dir: Path, cell: int = 0, *, round_: int | None = None, make_env: EnvFactory = OfficeEnv) -> DDPG:
+    """The agent of a cell from a checkpoint of a run folder, the last one by default, with an environment of that cell.
 
     Built from the run's config.json and then given the checkpoint's parameters. Raises `ConfigError` for a folder
     without config or checkpoint, an unknown cell, or a checkpoint that does not fit the config.
@@ -110,10 +110,12 @@ def load_policy(run_dir: Path, cell: int = 0, *, make_env: EnvFactory = OfficeEn
     config = load(run_dir / "config.json")
     if not 0 <= cell < config.federation.num_cells:
         raise ConfigError(f"cell: {cell} is not allowed: {run_dir} has cells 0 to {config.federation.num_cells - 1}")
-    checkpoints = (run_dir / "checkpoints").glob(f"round_*/cell_{cell}.zip")
+    rounds = "*" if round_ is None else f"{round_:04d}"
+    checkpoints = (run_dir / "checkpoints").glob(f"round_{rounds}/cell_{cell}.zip")
     last = max(checkpoints, key=lambda path: int(path.parent.name.removeprefix("round_")), default=None)
     if last is None:
-        raise ConfigError(f"run folder: {run_dir} has no checkpoint of cell {cell}")
+        of_round = "" if round_ is None else f" of round {round_}"
+        raise ConfigError(f"run folder: {run_dir} has no checkpoint of cell {cell}{of_round}")
     agent = build_agent(config, make_env(config, cell), np.random.default_rng(config.seed))
     try:
         agent.set_parameters(str(last), device="cpu")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,10 +19,11 @@ from mjris.show.palette import RANDOM, RIVALS, STOPS
 from mjris.task import Task
 
 FloatArray = NDArray[np.floating]
+IntArray = NDArray[np.integer]
 
 _WIDTH_IN = 3.5
 """Half a page."""
-_STYLE = {"font.size": 7, "axes.linewidth": 0.6}
+_STYLE: dict[Any, Any] = {"font.size": 7, "axes.linewidth": 0.6}
 _WINDOW = 10
 """Episodes of the running mean."""
 _SCENES = 16
@@ -50,39 +52,46 @@ def plot_learning(runs: Sequence[Path], table: pd.DataFrame, path: Path) -> None
     """
     task = load(runs[0] / "config.json").task
     penalised = task.reward == "sum_rate" and task.effort_cost == 0
-    panels = {
-        "sum_rate_mbps": ("sum rate [Mb/s]", "sum_rate_mbps"),
-        "reward": ("reward [Mb/s]", "penalised_mbps" if penalised else None),
-    }
     with rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 3.6), dpi=300, layout="compressed")
-        for axes, (metric, (words, rivals)) in zip(figure.subplots(2, sharex=True), panels.items(), strict=True):
-            _draw_curve(axes, read_metric(runs, metric))
-            if rivals is not None:
-                _draw_rivals(axes, table.set_index("policy")[rivals])
-            axes.set_ylabel(words)
-        axes.set_xlabel("episode")
-        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-        handles, labels = figure.axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, handlelength=3)
+        above, below = figure.subplots(2, sharex=True)
+        _draw_curve(above, *read_metric(runs, "sum_rate_mbps"))
+        _draw_rivals(above, table, "sum_rate_mbps")
+        _draw_curve(below, *read_metric(runs, "reward"))
+        if penalised:
+            _draw_rivals(below, table, "penalised_mbps")
+        above.set_ylabel("sum rate [Mb/s]")
+        below.set(xlabel="episode", ylabel="reward [Mb/s]")
+        below.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+        handles, _ = above.get_legend_handles_labels()
+        figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, handlelength=3)
         figure.savefig(path)
 
 
-def read_metric(runs: Sequence[Path], metric: str) -> pd.DataFrame:
-    """A column of the metrics.csv of run folders: means over cells, a row an episode and a column a run.
+def read_metric(runs: Sequence[Path], metric: str) -> tuple[IntArray, FloatArray]:
+    """Episodes [T] of the metrics.csv of S run folders, and means over the cells of one of its columns [S, T].
 
     Episodes that not all runs have are left out. Raises `ConfigError` for a file that cannot be read or has no rows.
     """
     curves = []
     for run in runs:
+        file = run / "metrics.csv"
         try:
-            rows = pd.read_csv(run / "metrics.csv")
-        except OSError as error:
-            raise ConfigError(f"{run / 'metrics.csv'}: cannot be read: {error.strerror}") from None
+            rows = pd.read_csv(file)
+        except (OSError, pd.errors.EmptyDataError) as error:
+            raise ConfigError(f"{file}: cannot be read: {getattr(error, 'strerror', error)}") from None
         if rows.empty:
-            raise ConfigError(f"{run / 'metrics.csv'}: has no episodes: the run must be trained for a round at least")
+            raise ConfigError(f"{file}: has no episodes: train for a round at least")
         curves.append(rows.groupby("episode")[metric].mean())
-    return pd.concat(curves, axis=1, join="inner", keys=range(len(curves)))
+    together = pd.concat(curves, axis=1, join="inner")
+    return together.index.to_numpy(), together.to_numpy().T
+
+
+def running_mean(values: FloatArray, window: int = _WINDOW) -> FloatArray:
+    """Means [..., T] of each of `values` [..., T] and those before it, `window` in all or as many as there are."""
+    total = np.cumsum(values, -1)
+    total[..., window:] -= total[..., :-window].copy()
+    return total / np.minimum(np.arange(1, values.shape[-1] + 1), window)
 
 
 def student_interval(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -125,17 +134,17 @@ def plot_phases(track: PhaseTrack, path: Path) -> None:
         above.set_ylabel("share of elements [%]")
         _draw_spread(below, track.gain_db, STOPS, "-")
         _draw_spread(below, track.random_gain_db, RANDOM, "--")
-        below.axhline(0, lw=0.6, color="black")
+        below.axhline(0, lw=0.6, color="black", zorder=1)
         below.annotate(
             "aligned phases",
             (1, 0),
-            (0, 2),
+            (-2, 2),
             xycoords=("axes fraction", "data"),
             textcoords="offset points",
             ha="right",
             fontsize=6,
         )
-        below.set(xlim=(1, max(slots, 2)), xlabel="slot", ylabel="channel gain over aligned [dB]")
+        below.set(xlim=(1, max(slots, 2)), xlabel="slot", ylabel="gain over aligned [dB]")
         below.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         handles, labels = above.get_legend_handles_labels()
         title = f"below: median and middle 80 % of {scenes} scenes"
@@ -143,17 +152,18 @@ def plot_phases(track: PhaseTrack, path: Path) -> None:
         figure.savefig(path)
 
 
-def _draw_curve(axes: Axes, curve: pd.DataFrame) -> None:
-    """A running mean over episodes, with the interval over seeds where there are several."""
-    smooth = curve.rolling(_WINDOW, min_periods=1).mean()
-    seeds = smooth.shape[1]
-    words = f"training, {seeds} seeds, 95 % interval" if seeds > 1 else "training"
-    axes.plot(smooth.index, smooth.mean(axis=1), color=STOPS, lw=1.4, label=words, zorder=3)
-    if seeds > 1:
-        axes.fill_between(smooth.index, *student_interval(smooth.to_numpy().T), color=STOPS, alpha=0.25, lw=0)
+def _draw_curve(axes: Axes, episodes: IntArray, values: FloatArray) -> None:
+    """The running mean of `values` [S, T], with the interval over seeds where there are several."""
+    smooth = running_mean(values)
+    several = len(smooth) > 1
+    words = f"training, {len(smooth)} seeds, 95 % interval" if several else "training"
+    axes.plot(episodes, smooth.mean(0), color=STOPS, lw=1.4, label=words, zorder=3)
+    if several:
+        axes.fill_between(episodes, *student_interval(smooth), color=STOPS, alpha=0.25, lw=0)
 
 
-def _draw_rivals(axes: Axes, values: pd.Series) -> None:
+def _draw_rivals(axes: Axes, table: pd.DataFrame, column: str) -> None:
+    values = dict(zip(table["policy"], table[column], strict=True))
     for name, (colour, style) in RIVALS.items():
         if name in values:
             axes.axhline(values[name], color=colour, ls=style, lw=1.0, label=name)

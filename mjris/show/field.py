@@ -25,6 +25,7 @@ from mjris.world.world import World
 FloatArray = NDArray[np.floating]
 
 _SPACING_M = 0.75
+_ARROW_M = 0.7
 _STILL = 0.1
 """Shorter moves count as staying, as a share of the way of a slot."""
 _WIDTH_IN = 3.5
@@ -47,15 +48,16 @@ class MotionField:
 
 
 def motion_field(config: Config, act: Act, seed: int) -> MotionField:
-    """The field of an agent in the scene that follows from `seed`, over the floor that the rover can reach.
+    """The field of an agent over the floor that the rover can reach, in the first held-out scene of `seed`.
 
-    Furniture stands at the layout's own places. All places share people and fading, and are cells of one simulator.
+    But for jitter: furniture stands at the layout's own places. All places share people and fading, being the same cell
+    of one simulator many times.
     """
     policy = agent_policies(act)[0]
     still = replace(
         config,
         world=replace(config.world, layout_jitter_m=0.0),
-        radio=replace(config.radio, difference_factor=0.0),
+        radio=replace(config.radio, difference_factor=1.0),
         task=replace(config.task, **policy.changes),
     )
     cell = CellId(still.seed, 0)
@@ -95,7 +97,7 @@ def plot_motion_field(config: Config, field: MotionField, path: Path) -> None:
     office, floor = field.office, field.floor
     x, y, _ = office.layout.room.size
     with rc_context({"font.size": 7, "axes.linewidth": 0.6}):
-        figure = Figure(figsize=(_WIDTH_IN, (_WIDTH_IN - 1.0) * y / x + 1.1), dpi=300, layout="compressed")
+        figure = Figure(figsize=(_WIDTH_IN, (_WIDTH_IN - 1.2) * y / x + 1.1), dpi=300, layout="compressed")
         axes = figure.add_subplot()
         worth = axes.imshow(floor.place_gain_bps / 1e6, origin="lower", extent=(0, x, 0, y), cmap=_LIGHT, zorder=1)
         _draw_furniture(axes, office, config.world.user_height_m)
@@ -113,21 +115,14 @@ def plot_motion_field(config: Config, field: MotionField, path: Path) -> None:
 
 
 def _draw_arrows(axes: Axes, field: MotionField) -> None:
-    """Arrows, one grid step long at full speed; dots where the agent stays."""
-    still = np.linalg.norm(field.heading, axis=-1) < _STILL
+    """Directions as arrows of one length, which slow agents need to be seen; dots where the agent stays."""
+    speed = np.linalg.norm(field.heading, axis=-1, keepdims=True)
+    still = speed[:, 0] < _STILL
     axes.plot(*field.places_m[still].T, ls="", marker=".", ms=2.5, color=_INK, zorder=4, label="stays")
-    size: dict[str, Any] = {"width": 0.02 * _SPACING_M * 2, "headwidth": 5, "headlength": 5, "headaxislength": 4.5}
-    axes.quiver(
-        *field.places_m[~still].T,
-        *field.heading[~still].T,
-        angles="xy",
-        units="xy",
-        scale_units="xy",
-        scale=1 / _SPACING_M,
-        color=_INK,
-        zorder=4,
-        **size,
-    )
+    direction = field.heading[~still] / speed[~still]
+    size: dict[str, Any] = {"width": 0.04, "headwidth": 5, "headlength": 5, "headaxislength": 4.5}
+    units: dict[str, Any] = {"angles": "xy", "units": "xy", "scale_units": "xy", "scale": 1 / _ARROW_M}
+    axes.quiver(*field.places_m[~still].T, *direction.T, color=_INK, zorder=4, **units, **size)
 
 
 def _draw_marks(axes: Axes, office: Office, floor: FloorMap) -> None:
