@@ -91,7 +91,6 @@ def test_the_planner_is_its_drive_with_the_best_phases_and_powers(scheme):
     np.testing.assert_allclose(result.bound_bps, np.mean(bounds, 0), rtol=1e-9)
     np.testing.assert_allclose(result.bare_bps, np.mean(bare, 0), rtol=1e-9)
     assert (result.bound_bps > result.sum_rate_bps).all()
-    assert result.sum_rate_bps.mean() > result.bare_bps.mean()
 
 
 def test_action_zero_beats_random_actions_and_no_ris(table):

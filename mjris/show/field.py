@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mjris.config import Config
 from mjris.eval.floormap import FloorMap, floor_map
 from mjris.eval.policies import Act, agent_policies
-from mjris.show.maps import _draw_furniture
+from mjris.show.maps import draw_furniture
 from mjris.show.palette import user_colour
 from mjris.simulator import CellId, Simulator
 from mjris.task import Task
@@ -100,7 +100,7 @@ def plot_motion_field(config: Config, field: MotionField, path: Path) -> None:
         figure = Figure(figsize=(_WIDTH_IN, (_WIDTH_IN - 1.2) * y / x + 1.1), dpi=300, layout="compressed")
         axes = figure.add_subplot()
         worth = axes.imshow(floor.place_gain_bps / 1e6, origin="lower", extent=(0, x, 0, y), cmap=_LIGHT, zorder=1)
-        _draw_furniture(axes, office, config.world.user_height_m)
+        draw_furniture(axes, office, config.world.user_height_m)
         _draw_arrows(axes, field)
         _draw_marks(axes, office, floor)
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", xlabel="x [m]", ylabel="y [m]")

@@ -86,7 +86,7 @@ def draw_field(config: Config, office: Office, floor: FloorMap, name: str, path:
         figure = Figure(figsize=(_WIDTH_IN, (_WIDTH_IN - 1.0) * y / x + 1.1), dpi=300, layout="compressed")
         axes = figure.add_subplot()
         axes.imshow(drawn.values, origin="lower", extent=(0, x, 0, y), norm=drawn.norm, cmap=drawn.colours, zorder=1)
-        _draw_furniture(axes, office, config.world.user_height_m)
+        draw_furniture(axes, office, config.world.user_height_m)
         _draw_marks(axes, office, floor)
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", xlabel="x [m]", ylabel="y [m]", title=drawn.title)
         for axis in (axes.xaxis, axes.yaxis):
@@ -141,7 +141,7 @@ def _span(*values: FloatArray) -> Normalize:
     return Normalize(float(low), float(high))
 
 
-def _draw_furniture(axes: Axes, office: Office, receiver_m: float) -> None:
+def draw_furniture(axes: Axes, office: Office, receiver_m: float) -> None:
     """Outlines of all furniture, darker where it stands taller than the receivers [m]."""
     top = office.layout.room.size[2]
     for low, high, colour, words in ((0.0, top, _LOW, "furniture"), (receiver_m, top, _TALL, "above the receivers")):
