@@ -1,4 +1,4 @@
-"""The console command: train, evaluate, render, map."""
+"""The console command: train, evaluate, render, map, export."""
 
 import math
 import os
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
 import tyro
 
+from mjris.assets import assets_dir
 from mjris.config import Config, ConfigError, load, preset
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from mjris.eval.policies import Act
 
+_SHIPPED_OUT = Path("runs/shipped")
 T = TypeVar("T")
 Flags = Annotated[T, tyro.conf.arg(name="")]
 
@@ -53,11 +55,12 @@ class Evaluate:
     Beside the table come figures of the learning curve, of where the agent heads from every place, and of its phases.
     """
 
-    run_dirs: Annotated[tuple[Path, ...], tyro.conf.arg(name="run")]
+    run_dirs: Annotated[tuple[Path, ...], tyro.conf.arg(name="run")] = ()
     """Run folder of `mjris train`, whose agent is played and whose config is where defaults come from; and more of the
-    same config with other seeds, for the learning curve."""
+    same config with other seeds, for the learning curve. Without any, the trained policy that comes with mjris."""
     out: Path | None = None
-    """Where the table goes (.csv), with the figures beside it; evaluation.csv in the (first) run folder by default."""
+    """Where the table goes (.csv), with the figures beside it; evaluation.csv in the (first) run folder by default, and
+    in runs/shipped without one."""
     scenes: int = 50
     """Held-out scenes, played together."""
     scene_seed: int = 1_000_003
@@ -75,12 +78,13 @@ class Evaluate:
 
         from mjris.eval.evaluate import compare
 
-        _check_alike(self.run_dirs)
+        run_dirs = self.run_dirs or (_shipped(),)
+        _check_alike(run_dirs)
         console = Console()
         if not console.is_terminal:
             # A file has no width; the 80 columns that rich takes it for would fold the cells.
             console.width = 120
-        act = _learned(self.run_dirs[0], self.cell, self.config)
+        act = _learned(run_dirs[0], self.cell, self.config)
         with console.status("") as status:
             table = compare(
                 self.config,
@@ -91,7 +95,7 @@ class Evaluate:
                 with_planner=self.planner,
             )
         _print_table(console, table)
-        path = self.out or self.run_dirs[0] / "evaluation.csv"
+        path = self.out or (self.run_dirs[0] if self.run_dirs else _SHIPPED_OUT) / "evaluation.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         table.to_csv(path, index=False, float_format="%.6g")
         console.print(f"table: {path}", highlight=False, soft_wrap=True)
@@ -105,10 +109,12 @@ class Evaluate:
         from mjris.show.curves import plot_learning, plot_phases, track_phases
         from mjris.show.field import motion_field, plot_motion_field
 
-        curve, field, phases = paths = [folder / f"{name}.png" for name in ("learning_curve", "motion_field", "phases")]
-        plot_learning(self.run_dirs, table, curve)
+        field, phases = paths = [folder / "motion_field.png", folder / "phases.png"]
         plot_motion_field(self.config, motion_field(self.config, act, self.scene_seed), field)
         plot_phases(track_phases(self.config, act, self.scene_seed), phases)
+        if all((run / "metrics.csv").exists() for run in self.run_dirs) and self.run_dirs:
+            paths.insert(0, folder / "learning_curve.png")
+            plot_learning(self.run_dirs, table, paths[0])
         return paths
 
 
@@ -116,10 +122,11 @@ class Evaluate:
 class Render:
     """Film one episode of the trained agent, and draw its way over the floor."""
 
-    run_dir: Annotated[Path, tyro.conf.arg(name="run")]
-    """Run folder of `mjris train`; its config is where defaults come from."""
+    run_dir: Annotated[Path | None, tyro.conf.arg(name="run")] = None
+    """Run folder of `mjris train`; its config is where defaults come from. Without one, the trained policy that comes
+    with mjris."""
     out: Path | None = None
-    """Folder for video.mp4, frame.png and trajectory.png; the run folder by default."""
+    """Folder for video.mp4, frame.png and trajectory.png; the run folder by default, and runs/shipped without one."""
     slots: int = 30
     """Slots to film."""
     scene_seed: int = 1_000_003
@@ -133,10 +140,29 @@ class Render:
         _load_opengl()
         from mjris.show.film import film
 
-        act = _learned(self.run_dir, self.cell, self.config)
+        act = _learned(self.run_dir or _shipped(), self.cell, self.config)
         if self.slots < 1:
             raise ConfigError(f"slots: {self.slots} is not allowed: it must be at least 1")
-        film(self.config, act, self.out or self.run_dir, self.slots, self.scene_seed)
+        film(self.config, act, self.out or self.run_dir or _SHIPPED_OUT, self.slots, self.scene_seed)
+
+
+@dataclass(kw_only=True)
+class Export:
+    """Write the actor of a run as a small policy folder, which `--run` takes like a run."""
+
+    run_dir: Annotated[Path, tyro.conf.arg(name="run")]
+    """Run folder of `mjris train`."""
+    out: Path
+    """Folder for config.json and actor.safetensors."""
+    cell: int = 0
+    """Whose agent it is."""
+
+    def run(self) -> None:
+        """Load and write."""
+        from mjris.learn.policy import export_policy
+
+        for path in export_policy(self.run_dir, self.out, self.cell):
+            print(path)
 
 
 @dataclass(kw_only=True)
@@ -210,20 +236,25 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(_fail(str(error)))
 
 
-def _parse(argv: list[str]) -> Train | Evaluate | Render | Map:
+def _parse(argv: list[str]) -> Train | Evaluate | Render | Map | Export:
     """The command with all of its flags; defaults come from the preset or the run folder that is named."""
     run_dir, name = _value(argv, "--run"), _value(argv, "--preset")
+    if "--run" in argv and (run_dir is None or run_dir.startswith("-")):
+        raise ConfigError("run: no folder is given")
     config = preset(name or "office")
     if run_dir is not None:
         if not Path(run_dir).is_dir():
             raise ConfigError(f"run: {run_dir} is not allowed: there is no such folder")
         config = load(Path(run_dir) / "config.json")
+    elif argv[:1] in (["evaluate"], ["render"]):
+        config = load(_shipped() / "config.json")
     missing = tyro.MISSING
     commands = Union[  # noqa: UP007 - built at run time
         Annotated[Train, tyro.conf.subcommand("train", default=Train(out=missing, config=config))],
-        Annotated[Evaluate, tyro.conf.subcommand("evaluate", default=Evaluate(run_dirs=missing, config=config))],
-        Annotated[Render, tyro.conf.subcommand("render", default=Render(run_dir=missing, config=config))],
+        Annotated[Evaluate, tyro.conf.subcommand("evaluate", default=Evaluate(config=config))],
+        Annotated[Render, tyro.conf.subcommand("render", default=Render(config=config))],
         Annotated[Map, tyro.conf.subcommand("map", default=Map(out=missing, config=config))],
+        Annotated[Export, tyro.conf.subcommand("export", default=Export(run_dir=missing, out=missing))],
     ]
     return tyro.cli(commands, prog="mjris", description=__doc__, args=argv)  # type: ignore[arg-type]
 
@@ -238,10 +269,13 @@ def _value(argv: list[str], flag: str) -> str | None:
     return None
 
 
+def _shipped() -> Path:
+    """Folder of the trained policy that comes with mjris."""
+    return assets_dir() / "policies" / "office"
+
+
 def _check_alike(run_dirs: Sequence[Path]) -> None:
-    """Raise `ConfigError` unless there are runs, and their configs differ in nothing but their seeds."""
-    if not run_dirs:
-        raise ConfigError("run: no folder is given: it takes one or more")
+    """Raise `ConfigError` unless the configs of the runs differ in nothing but their seeds."""
     configs = [load(run / "config.json") for run in run_dirs]
     first, *others = [_fields(config) for config in configs]
     for run, other in zip(run_dirs[1:], others, strict=True):
@@ -278,7 +312,7 @@ def _load_opengl() -> None:
 
 def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
     """The trained agent of a cell, acting without noise. Raises `ConfigError` if the task's sizes are others."""
-    from mjris.learn.run import load_policy
+    from mjris.learn.policy import load_policy
     from mjris.task import Task
 
     agent = load_policy(run_dir, cell)

@@ -29,7 +29,7 @@ from mjris.config import Config, ConfigError, from_dict, preset
 from mjris.eval.evaluate import gain_percent, play
 from mjris.eval.policies import Policy, agent_policies, no_ris, planner, reference_controls
 from mjris.learn.federation import EpisodeMetrics
-from mjris.learn.run import load_policy
+from mjris.learn.policy import load_policy
 from mjris.learn.study import run_folder, train_missing
 
 RIVALS = ("planner", "closed forms", "fixed RIS", "no RIS")

@@ -242,4 +242,16 @@ def test_the_command_needs_a_run(capsys):
     with pytest.raises(SystemExit) as end:
         main(["evaluate", "--run"])
     assert end.value.code == 2
-    assert capsys.readouterr().err == "mjris: run: no folder is given: it takes one or more\n"
+    assert capsys.readouterr().err == "mjris: run: no folder is given\n"
+
+
+def test_without_a_run_the_shipped_policy_is_played(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(["evaluate", "--scenes", "2", "--no-planner", "--config.task.slots", "5"])
+    made = tmp_path / "runs" / "shipped"
+    assert {path.name for path in made.iterdir()} == {"evaluation.csv", "motion_field.png", "phases.png"}
+    table = pd.read_csv(made / "evaluation.csv")
+    learned, bare = (
+        table.loc[table.policy == name, "penalised_mbps"].item() for name in ("learned", "no RIS, best powers")
+    )
+    assert learned > bare

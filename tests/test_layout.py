@@ -1,5 +1,4 @@
 import math
-import shutil
 
 import numpy as np
 import pytest
@@ -247,11 +246,3 @@ def test_check_layout_says_where_the_layout_comes_from():
     moved = layout.__class__(name="moved", room=layout.room, ap=layout.ap, start=(7.5, 0.6), obstacles=layout.obstacles)
     with pytest.raises(ConfigError, match=r"^jittered: rover\.start.*sofa_1"):
         check_layout(moved, source="jittered")
-
-
-def test_assets_are_found_beside_the_modules_of_an_installed_package(tmp_path, monkeypatch):
-    package = tmp_path / "mjris"
-    shutil.copytree(layout_module.assets_dir(), package / "assets")
-    monkeypatch.setattr(layout_module, "__file__", str(package / "world" / "layout.py"))
-    assert layout_module.assets_dir() == package / "assets"
-    assert load_layout("office").name == "office"

@@ -9,8 +9,9 @@ from toy import BrokenToyEnv, ToyEnv, toy_config
 
 from mjris.config import ConfigError, load
 from mjris.learn.federation import Cell, EpisodeMetrics, average
+from mjris.learn.policy import load_policy
 from mjris.learn.progress import progress_bar, summary
-from mjris.learn.run import load_policy, train
+from mjris.learn.run import train
 
 
 @pytest.fixture(scope="module")

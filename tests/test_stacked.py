@@ -17,8 +17,9 @@ from mjris.env import OfficeEnv
 from mjris.learn.agent import DecayingOUNoise, build_agent
 from mjris.learn.federation import Cell, average
 from mjris.learn.layers import stack_networks
+from mjris.learn.policy import load_policy
 from mjris.learn.replay import Batch
-from mjris.learn.run import load_policy, train, train_many
+from mjris.learn.run import train, train_many
 from mjris.learn.stack import Lanes, StackedDDPG, num_lanes
 from mjris.learn.stacked import StackedCells, StackedRuns
 from mjris.learn.workers import LocalCells, WorkerCells, backend, describe, open_cells

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from toy import ToyEnv, toy_config
 
-from mjris.learn.run import load_policy
+from mjris.learn.policy import load_policy
 from mjris.learn.study import run_folder, train_missing
 
 

@@ -1,4 +1,4 @@
-"""A training run: rounds of local training and averaging, written to a run folder, and loading it again."""
+"""A training run: rounds of local training and averaging, written to a run folder."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -6,14 +6,9 @@ from contextlib import closing
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from zipfile import BadZipFile
 
-import numpy as np
-from stable_baselines3 import DDPG
-
-from mjris.config import Config, ConfigError, load
+from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv
-from mjris.learn.agent import build_agent
 from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
 from mjris.learn.stacked import Results, StackedRuns
 from mjris.learn.workers import check_device, open_cells
@@ -97,31 +92,6 @@ def _write_round(out: Path, round_: int, results: Results, save: Callable[[Path]
     save(unfinished)
     unfinished.rename(unfinished.with_name(f"round_{round_:04d}"))
     return metrics
-
-
-def load_policy(run_dir: Path, cell: int = 0, *, round_: int | None = None, make_env: EnvFactory = OfficeEnv) -> DDPG:
-    """The agent of a cell from a checkpoint of a run folder, the last one by default, with an environment of that cell.
-
-    Built from the run's config.json and then given the checkpoint's parameters. Raises `ConfigError` for a folder
-    without config or checkpoint, an unknown cell, or a checkpoint that does not fit the config.
-    """
-    if not run_dir.is_dir():
-        raise ConfigError(f"run folder: {run_dir} does not exist")
-    config = load(run_dir / "config.json")
-    if not 0 <= cell < config.federation.num_cells:
-        raise ConfigError(f"cell: {cell} is not allowed: {run_dir} has cells 0 to {config.federation.num_cells - 1}")
-    rounds = "*" if round_ is None else f"{round_:04d}"
-    checkpoints = (run_dir / "checkpoints").glob(f"round_{rounds}/cell_{cell}.zip")
-    last = max(checkpoints, key=lambda path: int(path.parent.name.removeprefix("round_")), default=None)
-    if last is None:
-        of_round = "" if round_ is None else f" of round {round_}"
-        raise ConfigError(f"run folder: {run_dir} has no checkpoint of cell {cell}{of_round}")
-    agent = build_agent(config, make_env(config, cell), np.random.default_rng(config.seed))
-    try:
-        agent.set_parameters(str(last), device="cpu")
-    except (ValueError, RuntimeError, BadZipFile):
-        raise ConfigError(f"{last}: is damaged or does not fit {run_dir / 'config.json'}") from None
-    return agent
 
 
 def _check_new(out: Path) -> None:

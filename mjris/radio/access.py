@@ -5,8 +5,9 @@ Rows of a channel are received as `channel @ beams`, without conjugation. Equati
 
 import math
 
-from array_api_compat import array_namespace, device
+from array_api_compat import device
 
+from mjris.radio.namespace import array_namespace
 from mjris.radio.propagation import Array
 
 

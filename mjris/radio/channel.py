@@ -3,8 +3,9 @@
 import math
 from typing import NamedTuple
 
-from array_api_compat import array_namespace, device
+from array_api_compat import device
 
+from mjris.radio.namespace import array_namespace
 from mjris.radio.propagation import Array
 
 

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from array_api_compat import array_namespace, device
+from array_api_compat import device
 
 from mjris.radio.access import (
     arranged,
@@ -19,6 +19,7 @@ from mjris.radio.access import (
     resolve_order,
 )
 from mjris.radio.channel import Channels, effective_channel
+from mjris.radio.namespace import array_namespace
 from mjris.radio.propagation import Array
 
 _MORE_THAN_ANY_BPS = 1e12

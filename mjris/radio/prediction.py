@@ -2,10 +2,9 @@
 
 import math
 
-from array_api_compat import array_namespace
-
 from mjris.config import Radio
 from mjris.radio.control import qos_first_split
+from mjris.radio.namespace import array_namespace
 from mjris.radio.propagation import Array
 
 

@@ -3,7 +3,9 @@
 from typing import Any, TypeAlias
 
 import numpy as np
-from array_api_compat import array_namespace, is_array_api_obj
+from array_api_compat import is_array_api_obj
+
+from mjris.radio.namespace import array_namespace
 
 Array: TypeAlias = Any
 """An array of any library that follows the Python array API; real ones are float64, complex ones complex128."""

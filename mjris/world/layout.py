@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 
+from mjris.assets import assets_dir
 from mjris.config import ConfigError, Positive, validated
 
 T = TypeVar("T")
@@ -137,13 +138,6 @@ class _Boxes(NamedTuple):
     half: _Floats  # [B, 3]
     axes: _Floats  # [B, 3, 3], rows are the unit vectors along the box's sides
     owner: NDArray[np.intp]  # [B]
-
-
-def assets_dir() -> Path:
-    """The assets folder: beside the modules in an installed package, beside `mjris` in a checkout."""
-    package = Path(__file__).parents[1]
-    installed = package / "assets"
-    return installed if installed.is_dir() else package.parent / "assets"
 
 
 def layout_names() -> list[str]:

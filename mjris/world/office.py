@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.assets import assets_dir
 from mjris.config import Config
-from mjris.world.layout import Layout, assets_dir
+from mjris.world.layout import Layout
 
 FloatArray = NDArray[np.floating]
 
