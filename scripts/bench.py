@@ -22,13 +22,15 @@ from rich.console import Console
 from rich.table import Table
 
 from mjris.config import Config, preset
-from mjris.env import OfficeVecEnv
+from mjris.env import OfficeEnv, OfficeVecEnv
 from mjris.eval.optimum import best_known
+from mjris.learn.agent import build_agent
 from mjris.learn.run import train
 from mjris.radio.access import noma_rates
 from mjris.radio.channel import Channels, effective_channel
 from mjris.radio.control import qos_first_powers
 from mjris.simulator import Simulator
+from mjris.task import Task
 
 CELLS = 64
 
@@ -59,6 +61,9 @@ def main() -> None:
     table.add_row("reference optimum \\[ms a slot]", *spread([1e3 * time for time in ours], ".1f"), "")
     table.add_row("pymanopt, one start \\[ms a slot]", *spread([1e3 * time for time in theirs], ".0f"), "")
     table.add_row("pymanopt / reference optimum", *spread(ratios(theirs, ours), ".0f"), "10")
+    acting = acting_seconds(3)
+    table.add_row("agent's phases and powers \\[ms a slot]", *spread([1e3 * time for time in acting], ".2f"), "")
+    table.add_row("reference optimum / agent's", *spread(ratios(ours, acting), ".0f"), "20")
     Console().print(table)
 
 
@@ -139,6 +144,22 @@ def optimum_seconds(repeats: int) -> tuple[list[float], list[float]]:
         rng = np.random.default_rng(0)
         ours.append(seconds(lambda rng=rng: best_known(channels, clusters, radio, qos_bps, rng)) / (4 * CELLS))
     return theirs, ours
+
+
+def acting_seconds(repeats: int) -> list[float]:
+    """Seconds a slot of an untrained agent's network, and of the phases and powers that its actions stand for."""
+    config = preset("office")
+    task = Task(replace(config, radio=replace(config.radio, difference_factor=1.0)), 4 * CELLS)
+    agent = build_agent(config, OfficeEnv(config), np.random.default_rng(0))
+    observation, users = task.observe(), config.world.num_users
+
+    def act() -> None:
+        weights = 10.0 ** agent.predict(observation, deterministic=True)[0][:, 2 : 2 + users]
+        phases = task.simulator.reference_phases(weights)
+        task.simulator.reference_powers(task.simulator.effective_channel(phases))
+
+    act()
+    return [seconds(act) / (4 * CELLS) for _ in range(repeats)]
 
 
 def ratios(values: list[float], others: list[float]) -> list[float]:
