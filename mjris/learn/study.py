@@ -1,10 +1,11 @@
 """Many training runs in a folder, each kept under a hash of its config: what is finished is not trained again."""
 
 import hashlib
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from mjris.config import Config
 from mjris.env import OfficeEnv
@@ -25,21 +26,19 @@ def train_missing(
 ) -> list[Path]:
     """The run folders of `configs`, in order; runs that are not there are trained, like ones together in a stack.
 
-    Runs of a stack differ in their seeds only. Training happens in a folder beside, which is deleted at the next try
-    if it was interrupted; a run appears under its name when it is complete. Raises what `train_many` raises.
+    Runs of a stack differ in their seeds only. Training happens in a temporary folder beside; a run appears under its
+    name when it is complete. Raises what `train_many` raises.
     """
     stacks: dict[Config, list[Config]] = {}
     for config in dict.fromkeys(configs):
         if not run_folder(config, folder).is_dir():
             stacks.setdefault(replace(config, seed=0), []).append(config)
-    unfinished = folder / "unfinished"
-    shutil.rmtree(unfinished, ignore_errors=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for number, stack in enumerate(stacks.values(), 1):
-        outs = [run_folder(config, unfinished) for config in stack]
-        train_many(
-            stack, outs, report=lambda metrics, number=number: report(number, len(stacks), metrics), make_env=make_env
-        )
-        for config, out in zip(stack, outs, strict=True):
-            out.rename(run_folder(config, folder))
-    shutil.rmtree(unfinished, ignore_errors=True)
+        with TemporaryDirectory(prefix="unfinished_", dir=folder) as unfinished:
+            outs = [run_folder(config, Path(unfinished)) for config in stack]
+            progress = partial(report, number, len(stacks))
+            train_many(stack, outs, report=progress, make_env=make_env)
+            for config, out in zip(stack, outs, strict=True):
+                out.rename(run_folder(config, folder))
     return [run_folder(config, folder) for config in configs]
