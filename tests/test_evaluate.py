@@ -247,7 +247,7 @@ def test_the_command_needs_a_run(capsys):
 
 def test_without_a_run_the_shipped_policy_is_played(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    main(["evaluate", "--scenes", "2", "--no-planner", "--config.task.slots", "5"])
+    main(["evaluate", "--scenes", "2", "--no-planner", "--task.slots", "5"])
     made = tmp_path / "runs" / "shipped"
     assert {path.name for path in made.iterdir()} == {"evaluation.csv", "motion_field.png", "phases.png"}
     table = pd.read_csv(made / "evaluation.csv")
