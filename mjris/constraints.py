@@ -31,9 +31,10 @@ class Constraints:
     collision_free: BoolArray
     """Section III-A: rover and panel touch neither obstacles nor people."""
 
-    def of_cell(self, cell: int) -> dict[str, bool]:
-        """The constraints of one cell by name."""
-        return {name: bool(getattr(self, name)[cell]) for name in NAMES}
+    def by_cell(self) -> list[dict[str, bool]]:
+        """The constraints of every cell by name."""
+        kept = zip(*(getattr(self, name).tolist() for name in NAMES), strict=True)
+        return [dict(zip(NAMES, cell, strict=True)) for cell in kept]
 
 
 NAMES = tuple(field.name for field in fields(Constraints))

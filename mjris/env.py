@@ -43,7 +43,7 @@ class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         outcome = self.task.step(np.asarray(action)[None])
         self._slot += 1
         truncated = self._slot >= self.config.task.slots
-        return outcome.observation[0], float(outcome.reward[0]), False, truncated, slot_info(outcome.slot, 0)
+        return outcome.observation[0], float(outcome.reward[0]), False, truncated, slot_infos(outcome.slot)[0]
 
 
 class OfficeVecEnv(VecEnv):
@@ -91,7 +91,7 @@ class OfficeVecEnv(VecEnv):
         outcomes = self._task.step(np.asarray(self._actions, np.float64))
         self._slot += 1
         done = self._slot >= self.config.task.slots
-        infos = [slot_info(outcome.slot, e) for outcome in outcomes for e in range(len(outcome.reward))]
+        infos = [info for outcome in outcomes for info in slot_infos(outcome.slot)]
         observation = np.concatenate([outcome.observation for outcome in outcomes])
         reward = np.concatenate([outcome.reward for outcome in outcomes])
         if done:
@@ -134,17 +134,18 @@ def make_vec(num_cells: int, config: Config | None = None, processes: int = 1) -
     return OfficeVecEnv(num_cells, config, processes)
 
 
-def slot_info(slot: Slot, cell: int) -> dict[str, Any]:
-    """The info of one cell's slot."""
-    return {
-        "rates_bps": slot.rates_bps[cell],
-        "sum_rate_bps": float(slot.rates_bps[cell].sum()),
-        "qos_met": slot.qos_met[cell],
-        "blockers": slot.scene.blockers[cell],
-        "clearance_m": float(slot.clearance_m[cell]),
-        "collisions": int(slot.collisions[cell]),
-        "constraints": slot.constraints.of_cell(cell),
+def slot_infos(slot: Slot) -> list[dict[str, Any]]:
+    """The infos of every cell's slot."""
+    columns = {
+        "rates_bps": slot.rates_bps,
+        "sum_rate_bps": slot.rates_bps.sum(-1).tolist(),
+        "qos_met": slot.qos_met,
+        "blockers": slot.scene.blockers,
+        "clearance_m": slot.clearance_m.tolist(),
+        "collisions": slot.collisions.tolist(),
+        "constraints": slot.constraints.by_cell(),
     }
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
 def _spaces(observation_size: int, action_size: int) -> tuple[gym.spaces.Box, gym.spaces.Box]:

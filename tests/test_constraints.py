@@ -81,10 +81,10 @@ def test_every_constraint_is_reported_on_its_own():
         "qos": {"rates_bps": np.array([[1e4, 1e4, 9999.0, 1e4]])},
         "collision_free": {"collisions": np.array([2])},
     }
-    assert all(evaluate(config, CLUSTERS, **arguments).of_cell(0).values())
+    assert all(evaluate(config, CLUSTERS, **arguments).by_cell()[0].values())
     assert tuple(broken) == NAMES
     for name, change in broken.items():
-        kept = evaluate(config, CLUSTERS, **(arguments | change)).of_cell(0)
+        kept = evaluate(config, CLUSTERS, **(arguments | change)).by_cell()[0]
         assert [each for each, value in kept.items() if not value] == [name]
 
 
