@@ -10,8 +10,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from mjris.config import Config, ConfigError, preset
-from mjris.parallel import SpreadTask
-from mjris.simulator import CellId, Slot
+from mjris.parallel import SpreadTask, info_columns, infos_of
+from mjris.simulator import CellId
 from mjris.task import Task
 
 
@@ -43,7 +43,13 @@ class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         outcome = self.task.step(np.asarray(action)[None])
         self._slot += 1
         truncated = self._slot >= self.config.task.slots
-        return outcome.observation[0], float(outcome.reward[0]), False, truncated, slot_infos(outcome.slot)[0]
+        return (
+            outcome.observation[0],
+            float(outcome.reward[0]),
+            False,
+            truncated,
+            infos_of(info_columns(outcome.slot))[0],
+        )
 
 
 class OfficeVecEnv(VecEnv):
@@ -88,12 +94,12 @@ class OfficeVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Play one slot; all cells end their episodes together, and begin the next at once."""
-        outcomes = self._task.step(np.asarray(self._actions, np.float64))
+        parts = self._task.step(np.asarray(self._actions, np.float64))
         self._slot += 1
         done = self._slot >= self.config.task.slots
-        infos = [info for outcome in outcomes for info in slot_infos(outcome.slot)]
-        observation = np.concatenate([outcome.observation for outcome in outcomes])
-        reward = np.concatenate([outcome.reward for outcome in outcomes])
+        infos = [info for part in parts for info in infos_of(part.columns)]
+        observation = np.concatenate([part.observation for part in parts])
+        reward = np.concatenate([part.reward for part in parts])
         if done:
             for info, last in zip(infos, observation, strict=True):
                 info["terminal_observation"] = last
@@ -132,20 +138,6 @@ class OfficeVecEnv(VecEnv):
 def make_vec(num_cells: int, config: Config | None = None, processes: int = 1) -> OfficeVecEnv:
     """E cells as one SB3 VecEnv, stepped in this process and others; the config is the office preset by default."""
     return OfficeVecEnv(num_cells, config, processes)
-
-
-def slot_infos(slot: Slot) -> list[dict[str, Any]]:
-    """The infos of every cell's slot."""
-    columns = {
-        "rates_bps": slot.rates_bps,
-        "sum_rate_bps": slot.rates_bps.sum(-1).tolist(),
-        "qos_met": slot.qos_met,
-        "blockers": slot.scene.blockers,
-        "clearance_m": slot.clearance_m.tolist(),
-        "collisions": slot.collisions.tolist(),
-        "constraints": slot.constraints.by_cell(),
-    }
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
 def _spaces(observation_size: int, action_size: int) -> tuple[gym.spaces.Box, gym.spaces.Box]:

@@ -1,16 +1,45 @@
 """A task whose cells are spread over processes: this one and workers."""
 
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.simulator import CellId
-from mjris.task import Outcome, Task
+from mjris.simulator import CellId, Slot
+from mjris.task import Task
+
+
+class Part(NamedTuple):
+    """What some of the cells give in a slot; all that travels between processes."""
+
+    observation: NDArray[np.float32]
+    """[E, D]"""
+    reward: NDArray[np.floating]
+    """[E] [Mb/s]"""
+    columns: dict[str, Iterable[Any]]
+    """What infos are made of, see `info_columns`."""
+
+
+def info_columns(slot: Slot) -> dict[str, Iterable[Any]]:
+    """What infos show of a slot, by name, with an entry for every cell."""
+    return {
+        "rates_bps": slot.rates_bps,
+        "sum_rate_bps": slot.rates_bps.sum(-1).tolist(),
+        "qos_met": slot.qos_met,
+        "blockers": slot.scene.blockers,
+        "clearance_m": slot.clearance_m.tolist(),
+        "collisions": slot.collisions.tolist(),
+        "constraints": slot.constraints.by_cell(),
+    }
+
+
+def infos_of(columns: dict[str, Iterable[Any]]) -> list[dict[str, Any]]:
+    """The info of every cell."""
+    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
 
 class SpreadTask:
@@ -28,8 +57,8 @@ class SpreadTask:
         """`Task.reset`, with a seed for every cell."""
         return np.concatenate(self._each("reset", [seeds and seeds[part] for part in self._slices]))
 
-    def step(self, action: NDArray[np.floating]) -> list[Outcome]:
-        """`Task.step`; the outcomes of the parts together are those of all cells, in order."""
+    def step(self, action: NDArray[np.floating]) -> list[Part]:
+        """`Task.step`; the parts together are all cells, in order."""
         return self._each("step", [action[part] for part in self._slices])
 
     def close(self) -> None:
@@ -37,10 +66,10 @@ class SpreadTask:
         for worker in self._others:
             worker.close()
 
-    def _each(self, method: str, arguments: Sequence[Any]) -> list[Any]:
+    def _each(self, method: Literal["reset", "step"], arguments: Sequence[Any]) -> list[Any]:
         for worker, argument in zip(self._others, arguments[1:], strict=True):
             worker.ask(method, argument)
-        own = getattr(self._own, method)(arguments[0])
+        own = _call(self._own, method, arguments[0])
         return [own, *(worker.answer() for worker in self._others)]
 
 
@@ -72,6 +101,14 @@ class _Worker:
         self._process.join()
 
 
+def _call(task: Task, method: str, argument: Any) -> Any:
+    """`Task.reset` or `Task.step`, without what need not travel."""
+    if method == "reset":
+        return task.reset(argument)
+    outcome = task.step(argument)
+    return Part(outcome.observation, outcome.reward, info_columns(outcome.slot))
+
+
 def _serve(pipe: Connection, config: Config, cells: Sequence[CellId]) -> None:
     """Answer what comes through the pipe until its other end is closed."""
     try:
@@ -79,7 +116,7 @@ def _serve(pipe: Connection, config: Config, cells: Sequence[CellId]) -> None:
         pipe.send(None)
         while True:
             method, argument = pipe.recv()
-            pipe.send(getattr(task, method)(argument))
+            pipe.send(_call(task, method, argument))
     except (EOFError, KeyboardInterrupt):
         pass
     except Exception as error:
