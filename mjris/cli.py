@@ -112,7 +112,7 @@ class Evaluate:
         field, phases = paths = [folder / "motion_field.png", folder / "phases.png"]
         plot_motion_field(self.config, motion_field(self.config, act, self.scene_seed), field)
         plot_phases(track_phases(self.config, act, self.scene_seed), phases)
-        if all((run / "metrics.csv").exists() for run in self.run_dirs) and self.run_dirs:
+        if self.run_dirs and all((run / "metrics.csv").exists() for run in self.run_dirs):
             paths.insert(0, folder / "learning_curve.png")
             plot_learning(self.run_dirs, table, paths[0])
         return paths

@@ -229,7 +229,7 @@ class Federation:
     backend: Literal["auto", "stacked", "processes"] = "auto"
     """stacked: all cells learn in lockstep in this process; processes: cell by cell in workers; auto: the faster."""
     workers: Annotated[int, Field(ge=0)] = 0
-    """Worker processes of the processes backend; 0 is one a core, 1 is this process."""
+    """Processes at most in which cells learn, or those of a stack are stepped; 0 is one a core, 1 is this one."""
 
 
 @_plain_errors

@@ -62,6 +62,8 @@ class Task:
         """Which entries of an action correct a closed form, [A]."""
         self._planned_at: tuple[int, int] | None = None
         self._planned: tuple[FloatArray, FloatArray]
+        self._valued_at: tuple[int, int] | None = None
+        self._valued: FloatArray
         self.observation_size = self.observe().shape[1]
 
     def reset(self, seed: int | Sequence[int] | None = None) -> NDArray[np.float32]:
@@ -83,8 +85,12 @@ class Task:
         weight = self.config.task.map_potential
         if weight == 0:
             return np.zeros(self.simulator.num_cells)
-        here = place_values(self.simulator, self.simulator.scene.rover_xy[:, None])[:, 0]
-        return weight * (here - bare_values(self.simulator)) / 1e6
+        simulator = self.simulator
+        now = simulator.resets, simulator.slots
+        if now != self._valued_at:
+            here = place_values(simulator, simulator.scene.rover_xy[:, None])[:, 0]
+            self._valued_at, self._valued = now, weight * (here - bare_values(simulator)) / 1e6
+        return self._valued
 
     def _effort(self, action: FloatArray) -> FloatArray:
         """What corrections to the closed forms cost [E] [Mb/s]: the mean square of those entries."""

@@ -23,7 +23,6 @@ import pandas as pd
 import tyro
 from reference_table import markdown_table, number
 from rich.progress import Progress
-from scipy import stats
 
 from mjris.config import Config, ConfigError, from_dict, preset
 from mjris.eval.evaluate import gain_percent, play
@@ -31,6 +30,7 @@ from mjris.eval.policies import Policy, agent_policies, no_ris, planner, referen
 from mjris.learn.federation import EpisodeMetrics
 from mjris.learn.policy import load_policy
 from mjris.learn.study import run_folder, train_missing
+from mjris.show.curves import student_interval
 
 RIVALS = ("planner", "closed forms", "fixed RIS", "no RIS")
 """What agents are held against: the planner with the best phases and powers known, action zero, action zero without
@@ -205,8 +205,7 @@ def draw(experiment: Experiment, table: pd.DataFrame, path: Path) -> None:
         value = table.loc[table.policy == name, "penalised_mbps"].item()
         axes.axhline(value, color="#444444", linestyle=style, linewidth=1, label=name)
     learned: Any = table.query("policy == 'learned'").pivot_table("penalised_mbps", "episode", "seed")
-    half = stats.t.ppf(0.975, learned.shape[1] - 1) * stats.sem(learned, axis=1)
-    axes.fill_between(learned.index, learned.mean(axis=1) - half, learned.mean(axis=1) + half, color=STOPS, alpha=0.2)
+    axes.fill_between(learned.index, *student_interval(learned.to_numpy().T), color=STOPS, alpha=0.2)
     axes.plot(learned.index, learned, color=STOPS, linewidth=0.5, alpha=0.6)
     axes.plot(learned.index, learned.mean(axis=1), color=STOPS, linewidth=2, marker="o", label="learned, mean of seeds")
     axes.set(xlabel="episodes of training", ylabel="sum rate with QoS penalty [Mb/s]", title=experiment.name)
@@ -239,7 +238,7 @@ def _values(row: Mapping[Any, Any], columns: Sequence[str]) -> list[str]:
 
 def _interval(values: Any, form: str) -> str:
     """Mean and 95 % t-interval over seeds."""
-    half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values) if len(values) > 1 else np.nan
+    half = student_interval(values.to_numpy())[1] - values.mean() if len(values) > 1 else np.nan
     return f"{number(values.mean(), form)} ± {number(half, form)}"
 
 

@@ -40,7 +40,7 @@ Results = Sequence[tuple[State, list[EpisodeMetrics]]]
 """What `Cell.train` returns, of every cell."""
 
 _CELLS_A_PROCESS = 5
-"""With fewer cells in each, several processes are no faster than one."""
+"""A slot of fewer cells takes hardly less time, so that more processes would gain nothing."""
 
 
 class StackedCells:

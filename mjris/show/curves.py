@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+from scipy import stats
 
 from mjris.config import Config, ConfigError, load
 from mjris.eval.policies import Act, agent_policies
@@ -29,7 +30,6 @@ _WINDOW = 10
 _SCENES = 16
 """Scenes whose phases are compared."""
 _BIN_DEG = 10
-_QUADRATURE = 100_001
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def plot_learning(runs: Sequence[Path], table: pd.DataFrame, path: Path) -> None
     several, and the rivals of an evaluation `table` where the unit is theirs. Raises `ConfigError` as `read_metric`.
     """
     task = load(runs[0] / "config.json").task
-    penalised = task.reward == "sum_rate" and task.effort_cost == 0
+    penalised = task.reward == "sum_rate" and task.effort_cost == 0 and task.map_potential == 0
     with rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 3.6), dpi=300, layout="compressed")
         above, below = figure.subplots(2, sharex=True)
@@ -97,7 +97,7 @@ def running_mean(values: FloatArray, window: int = _WINDOW) -> FloatArray:
 def student_interval(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
     """95 % Student-t interval [...] of the means of `samples` [S, ...] over their first axis, S > 1."""
     count = len(samples)
-    half = _student_quantile(count - 1) * samples.std(0, ddof=1) / np.sqrt(count)
+    half = stats.t.ppf(0.975, count - 1) * samples.std(0, ddof=1) / np.sqrt(count)
     return samples.mean(0) - half, samples.mean(0) + half
 
 
@@ -175,13 +175,3 @@ def _draw_spread(axes: Axes, values: FloatArray, colour: str, style: str) -> Non
     low, median, high = np.percentile(values, [10, 50, 90], axis=1)
     axes.fill_between(slot, low, high, color=colour, alpha=0.25, lw=0)
     axes.plot(slot, median, color=colour, ls=style, lw=1.2)
-
-
-def _student_quantile(freedom: int) -> float:
-    """The 97.5 % quantile of Student's t distribution.
-
-    With t = √f tan u the density is proportional to cos^(f-1) u, which has no tails to cut off.
-    """
-    u = np.linspace(0, np.pi / 2, _QUADRATURE)
-    share = np.cumsum(np.cos(u) ** (freedom - 1))
-    return float(np.sqrt(freedom) * np.tan(np.interp(0.95 * share[-1], share, u)))
