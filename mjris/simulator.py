@@ -115,8 +115,7 @@ class Simulator:
         self._room_m = np.array([self.world.office(e).layout.room.size[:2] for e in range(num_cells)])
         axes = np.stack([self.world.office(e).ap_axis for e in range(num_cells)])
         self._antennas = channel.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
-        people = self.world.office(0).person_bodies
-        self._own_bodies = np.concatenate([people, people, [-1]])
+        self._own_person = np.array([*range(k), *range(k), -1])
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
         self._order = np.zeros((num_cells, *self.clusters.shape), np.int64)
         self._fresh = np.ones(num_cells, np.bool_)
@@ -275,12 +274,11 @@ class Simulator:
         radio, world = self.config.radio, self.world
         panel, receivers = world.panel_centre(), world.receivers()
         k = receivers.shape[1]
-        # Links run from the receivers outward, so that a user's own body is left at once.
         start = np.concatenate([receivers, receivers, panel[:, None]], 1)
         end = np.concatenate(
             [np.repeat(self.ap_position[:, None], k, 1), np.repeat(panel[:, None], k, 1), self.ap_position[:, None]], 1
         )
-        blockers = world.sight.blockers(start, end, self._own_bodies)
+        blockers = world.sight.blockers(start, end, self._own_person)
         distance = np.linalg.norm(end - start, axis=-1)
         loss_db = propagation.path_loss_db(distance, blockers, radio.carrier_hz)
         heading = world.fleet.panel_heading

@@ -119,7 +119,7 @@ def test_the_rate_is_the_prediction_for_a_single_user(simulator, config):
     normal = np.array([math.cos(0.1), math.sin(0.1), 0])
 
     def gain(end):
-        count = simulator.world.sight.blockers(np.array([[end]]), panel[None, None], np.array([-1]))[0, 0]
+        count = simulator.world.sight.blockers(np.array([[end]]), panel[None, None])[0, 0]
         way = end - panel
         cosine = max(0.0, way @ normal / np.linalg.norm(way))
         pattern = 2 * 1.57 * cosine**0.57

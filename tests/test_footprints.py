@@ -115,18 +115,3 @@ def test_some_cells_have_their_own_or_what_all_share():
     assert both.of(np.array([0])).distance(points)[0, 0] == pytest.approx(math.hypot(2, 1))
     assert both.of(np.array([1])).distance(points)[0, 0] == pytest.approx(1)
     assert parts[0].of(np.array([5])) is parts[0]
-
-
-def test_near_rectangles_are_those_within_reach():
-    rng = np.random.default_rng(4)
-    solid = footprints([build(preset("office"), load_layout("office"))], 0.0, PERSON_HEIGHT_M)
-    points = rng.uniform(0, (15, 20), (60, 2))
-    near = solid.near(points, 1.0)
-    moved = points + rng.uniform(-0.4, 0.4, points.shape)
-    everything = solid.distance(moved[:, None])[:, 0]
-    found = near.distance(moved)
-    within = everything < 0.4
-    assert within.any()
-    np.testing.assert_allclose(found[within], everything[within])
-    assert (found >= everything - 1e-12).all()
-    assert np.isinf(solid.near(points + 100, 1.0).distance(points)).all()

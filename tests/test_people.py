@@ -9,7 +9,7 @@ from mjris.config import Config, World
 from mjris.simulator import Simulator
 from mjris.world.layout import load_layout
 from mjris.world.office import PERSON_RADIUS_M
-from mjris.world.people import _segment_distance
+from mjris.world.people import segment_distance
 from mjris.world.world import World as Cells
 
 COORDINATE = st.floats(-3, 3)
@@ -115,18 +115,19 @@ def test_mean_walk_is_rayleigh(tmp_path):
 
 @given(POINT, POINT, POINT, POINT)
 def test_segment_distance_against_brute_force(start0, step0, start1, step1):
-    start, step = np.array([[start0, start1]]), np.array([[step0, step1]])
+    start, step = np.array([start0, start1]), np.array([step0, step1])
     share = np.linspace(0, 1, 161)
-    ways = start[0][:, None] + share[:, None] * step[0][:, None]
+    ways = start[:, None] + share[:, None] * step[:, None]
     brute = np.linalg.norm(ways[0][:, None] - ways[1][None], axis=-1).min()
     slack = (np.linalg.norm(step0) + np.linalg.norm(step1)) / 160
-    exact = _segment_distance(start, step)
-    assert brute - slack - 1e-6 <= exact[0, 0, 1] <= brute + 1e-6
-    np.testing.assert_allclose(exact[0, 1, 0], exact[0, 0, 1], atol=1e-6)
+    exact = segment_distance(start[0], step[0], start[1], step[1])
+    assert brute - slack - 1e-6 <= exact <= brute + 1e-6
+    assert segment_distance(start[1], step[1], start[0], step[0]) == pytest.approx(exact, abs=1e-6)
 
 
 def test_segment_distance_of_parallel_ways_and_of_points():
-    start = np.array([[[0.0, 0.0], [0.0, 1.0], [5.0, 0.0], [2.0, 3.0]]])
-    step = np.array([[[2.0, 0.0], [2.0, 0.0], [1.0, 0.0], [0.0, 0.0]]])
+    start = np.array([[0.0, 0.0], [0.0, 1.0], [5.0, 0.0], [2.0, 3.0]])
+    step = np.array([[2.0, 0.0], [2.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
     expected = [[0, 1, 3, 3], [1, 0, math.hypot(3, 1), 2], [3, math.hypot(3, 1), 0, math.hypot(3, 3)]]
-    np.testing.assert_allclose(_segment_distance(start, step)[0, :3], expected, atol=1e-12)
+    found = [[segment_distance(start[i], step[i], start[j], step[j]) for j in range(4)] for i in range(3)]
+    np.testing.assert_allclose(found, expected, atol=1e-12)

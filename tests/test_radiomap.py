@@ -33,7 +33,7 @@ def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
                 middle = np.rint(place / 0.5) * 0.5
                 start = end if k == 4 else np.array([*np.rint(end[:2] / 0.5) * 0.5, end[2]])
                 stop = np.array([*middle, panel[2]])
-                n = world.sight.blockers(start[None, None], stop[None, None], np.array([-1]))[0, 0]
+                n = world.sight.blockers(start[None, None], stop[None, None])[0, 0]
                 d = max(1, np.linalg.norm(end - panel))
                 loss = 16.9 * math.log10(d) - 27.2 + 20 * math.log10(2000)
                 if n:

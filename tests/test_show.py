@@ -192,7 +192,7 @@ def test_the_shadow_is_that_of_the_sight(task, office):
     assert hidden.shape == (len(y), len(x)) == (40, 30)
     points = np.stack([*np.meshgrid(x, y), np.full(hidden.shape, CONFIG.world.user_height_m)], -1).reshape(1, -1, 3)
     start = np.broadcast_to(office.ap_position, points.shape)
-    count = task.simulator.world.sight.blockers(start, points, np.full(points.shape[1], -1))
+    count = task.simulator.world.sight.blockers(start, points)
     np.testing.assert_array_equal(hidden, (count > 0).reshape(hidden.shape))
     assert 0.25 < hidden.mean() < 0.8
 

@@ -1,13 +1,16 @@
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 import itertools
 import math
 
+import mujoco
 import numpy as np
 import pytest
 
 from mjris.config import Config, ConfigError
 from mjris.config import World as WorldConfig
 from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, check_layout, layout_names, load_layout
-from mjris.world.office import PERSON_HEIGHT_M, PERSON_RADIUS_M
+from mjris.world.office import GROUP_BLOCKERS, PERSON_HEIGHT_M, PERSON_RADIUS_M
 from mjris.world.world import World
 
 GRAZE_M = 1e-6
@@ -42,8 +45,7 @@ def crossed(layout: Layout, start: np.ndarray, end: np.ndarray, grow_m: float) -
 
 def assert_counts_agree(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Compare all links that graze nothing; returns their counts."""
-    no_body = np.full(len(start), -1)
-    counted = world(layout).sight.blockers(start[None], end[None], no_body)[0]
+    counted = world(layout).sight.blockers(start[None], end[None])[0]
     most, least = crossed(layout, start, end, GRAZE_M), crossed(layout, start, end, -GRAZE_M)
     clear_cut = most == least
     assert clear_cut.mean() > 0.99
@@ -89,6 +91,37 @@ def test_random_links_in_the_bundled_layouts(name):
     assert free.sum() > 5000
     counts = assert_counts_agree(layout, start[free], end[free])
     assert {0, 1, 2} <= set(counts)
+
+
+def cast(model: mujoco.MjModel, start: np.ndarray, end: np.ndarray) -> int:
+    """Bodies that block one link, by MuJoCo's rays: from hit to hit, without the body met last."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    groups = (np.arange(mujoco.mjNGROUP) == GROUP_BLOCKERS).astype(np.uint8)
+    length = np.linalg.norm(end - start)
+    direction, travelled, body, met = (end - start) / length, 0.0, -1, set()
+    while True:
+        geom = np.full(1, -1, np.int32)
+        distance = mujoco.mj_ray(model, data, start + travelled * direction, direction, groups, 1, body, geom)
+        if geom[0] < 0 or travelled + distance >= length:
+            return len(met)
+        travelled, body = travelled + distance + 1e-6, int(model.geom_bodyid[geom[0]])
+        met.add(body)
+
+
+@pytest.mark.parametrize("name", layout_names())
+def test_the_same_obstacles_as_by_mujocos_rays(name):
+    layout = load_layout(name)
+    rng = np.random.default_rng(21)
+    made = world(layout)
+    start, end = rng.uniform(0, layout.room.size, (2, 400, 3))
+    start[:200, 2], end[:200, 2] = 1.1, 1.5
+    clear_cut = crossed(layout, start, end, GRAZE_M) == crossed(layout, start, end, -GRAZE_M)
+    expected = [cast(made.office(0).model, *link) for link in zip(start[clear_cut], end[clear_cut], strict=True)]
+    counted = made.sight.blockers(start[None, clear_cut], end[None, clear_cut])[0]
+    assert clear_cut.sum() > 390
+    assert max(expected) >= 2
+    np.testing.assert_array_equal(counted, expected)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -179,7 +212,7 @@ def test_a_film_right_behind_a_face_counts(behind_m):
     layout = Layout(name="film", room=Room(size=(10, 4, 3)), ap=ap, start=(1, 1), obstacles=obstacles)
     start, end = np.array([[3, 2, 1], [7, 2, 1], [3, 2.4, 1]]), np.array([[7, 2, 1], [3, 2, 1], [7, 2.4, 1]])
     assert_counts_agree(layout, start, end)
-    counted = world(layout).sight.blockers(start[None], end[None], np.full(3, -1))[0]
+    counted = world(layout).sight.blockers(start[None], end[None])[0]
     assert counted.tolist() == [2, 2, 1]
 
 
@@ -187,7 +220,7 @@ def test_jittered_cells_are_counted_in_layouts_of_their_own():
     made = world(load_layout("open"), num_cells=4, layout_jitter_m=0.3)
     rng = np.random.default_rng(12)
     start, end = rng.uniform(0, made.office(0).layout.room.size, (2, 4, 400, 3))
-    counted = made.sight.blockers(start, end, np.full(400, -1))
+    counted = made.sight.blockers(start, end)
     expected = [crossed(made.office(e).layout, start[e], end[e], 0) for e in range(4)]
     np.testing.assert_array_equal(counted, expected)
     assert not np.array_equal(crossed(made.office(1).layout, start[0], end[0], 0), expected[0])
@@ -213,7 +246,7 @@ def test_touching_and_nested_bricks_of_one_and_of_several_obstacles():
     )
     start = np.array([[0.5, 2, 1], [9.5, 2.1, 1.2], [0.5, 2, 1], [2.5, 2, 1], [6.5, 2, 1], [0.5, 3.5, 1]])
     end = np.array([[9.5, 2, 1], [0.5, 2.1, 1.2], [2.9, 2, 1], [3.6, 2, 1], [9.5, 2, 1], [9.5, 3.5, 1]])
-    counted = world(layout).sight.blockers(start[None], end[None], np.full(6, -1))[0]
+    counted = world(layout).sight.blockers(start[None], end[None])[0]
     assert counted.tolist() == [4, 4, 1, 2, 2, 0]
 
 
@@ -222,12 +255,11 @@ def test_cells_and_their_subsets_are_counted_alike():
     rng = np.random.default_rng(4)
     start, end = rng.uniform(0, layout.room.size, (2, 5, 70, 3))
     sight = world(layout, num_cells=5).sight
-    no_body = np.full(70, -1)
-    together = sight.blockers(start, end, no_body)
+    together = sight.blockers(start, end)
     for e in range(5):
         np.testing.assert_array_equal(together[e], crossed(layout, start[e], end[e], 0))
     some = np.array([1, 3])
-    np.testing.assert_array_equal(sight.blockers(start[some], end[some], no_body, ids=some), together[some])
+    np.testing.assert_array_equal(sight.blockers(start[some], end[some], ids=some), together[some])
 
 
 def capsules_crossed(people: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -255,14 +287,13 @@ def test_people_block_others_but_never_their_own_link():
     end = rng.uniform([0, 0, 0.2], layout.room.size, (1500, 3))
     other = rng.integers(0, 4, 750)
     end[:750, :2] = people[other] + rng.normal(0, 0.3, (750, 2))  # many toward somebody
-    bodies = made.office(0).person_bodies[own]
-    counted = made.sight.blockers(start[None], end[None], bodies)[0]
+    counted = made.sight.blockers(start[None], end[None], own)[0]
     met, certain = capsules_crossed(people, start, end)
     met[np.arange(1500), own] = False
     expected = crossed(layout, start, end, 0) + met.sum(1)
     assert met.any(1).sum() > 120
     np.testing.assert_array_equal(counted[certain], expected[certain])
-    without = bare.sight.blockers(start[None], end[None], bodies)[0]
+    without = bare.sight.blockers(start[None], end[None], own)[0]
     np.testing.assert_array_equal(without, crossed(layout, start, end, 0))
 
 
@@ -271,5 +302,5 @@ def test_the_rover_never_blocks():
     x, y = made.fleet.xy[0]
     for height in (0.3, 1.0, 1.5):
         start, end = np.array([[[x - 0.5, y, height]]]), np.array([[[x + 0.5, y, height]]])
-        assert made.sight.blockers(start, end, np.array([-1]))[0, 0] == 0
-        assert made.sight.blockers((start + end) / 2, end, np.array([-1]))[0, 0] == 0
+        assert made.sight.blockers(start, end)[0, 0] == 0
+        assert made.sight.blockers((start + end) / 2, end)[0, 0] == 0

@@ -24,13 +24,12 @@ def test_squares_are_seen_as_rays_see_their_middles(options):
     between = made.sight_map.between(low + anywhere[0], high + anywhere[1])
     from_ap = made.sight_map.from_ap(high + anywhere[1])
     bare = world(3, **(options | {"body_blockage": False})).sight
-    no_body = np.full(50, -1)
     start, end = np.insert(low, 2, made.config.user_height_m, -1), np.insert(high, 2, made.config.panel_height_m, -1)
     for k in range(0, 50, 7):
-        expected = bare.blockers(np.broadcast_to(start[:, k, None], end.shape), end, no_body)
+        expected = bare.blockers(np.broadcast_to(start[:, k, None], end.shape), end)
         np.testing.assert_array_equal(between[:, :, k], expected)
     ap = np.stack([made.office(e).ap_position for e in range(3)])
-    np.testing.assert_array_equal(from_ap, bare.blockers(np.broadcast_to(ap[:, None], end.shape), end, no_body))
+    np.testing.assert_array_equal(from_ap, bare.blockers(np.broadcast_to(ap[:, None], end.shape), end))
     assert {0, 1, 2} <= set(between.ravel().tolist())
 
 

@@ -127,8 +127,7 @@ def floor_map(
 def links(simulator: Simulator, points: FloatArray, end: FloatArray) -> tuple[IntArray, FloatArray]:
     """Obstacles [...] and path loss [...] [dB] between points [..., 3] and one end [3] [m], in the only cell."""
     start = points.reshape(1, -1, 3)
-    nobody = np.full(start.shape[1], -1)
-    count = simulator.world.sight.blockers(start, np.broadcast_to(end, start.shape), nobody).reshape(points.shape[:-1])
+    count = simulator.world.sight.blockers(start, np.broadcast_to(end, start.shape)).reshape(points.shape[:-1])
     distance = np.linalg.norm(end - points, axis=-1)
     return count, propagation.path_loss_db(distance, count, simulator.config.radio.carrier_hz)
 

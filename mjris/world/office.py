@@ -5,6 +5,7 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -50,6 +51,19 @@ def feeler_reach(config: Config) -> float:
     return world.bumper_m + world.max_speed_mps * world.slot_s / world.ticks_per_slot
 
 
+class Boxes(NamedTuple):
+    """The upright boxes of an office."""
+
+    centre: FloatArray
+    """[B, 3] [m]"""
+    half: FloatArray
+    """Half sides [B, 3] [m]."""
+    axis: FloatArray
+    """Unit vectors of their own x directions [B, 2]."""
+    body: NDArray[np.int64]
+    """The bodies that they belong to [B]; the boxes of one follow each other."""
+
+
 @dataclass(frozen=True)
 class Office:
     """A compiled office with its rover and people, and where things are in it."""
@@ -86,14 +100,22 @@ class Office:
         return int(self.model.joint("rover/panel/pan").qposadr[0])
 
     @cached_property
-    def mocap_ids(self) -> NDArray[np.int64]:
-        """Mocap index of every person, [K]."""
-        return np.array([self.model.body(f"person{k}/person").mocapid[0] for k in range(self.config.world.num_users)])
+    def mocap_ids(self) -> slice:
+        """Mocap indices of the people, which follow each other."""
+        first = int(self.model.body("person0/person").mocapid[0])
+        return slice(first, first + self.config.world.num_users)
 
-    @cached_property
-    def person_bodies(self) -> NDArray[np.int64]:
-        """Body id of every person, [K]."""
-        return np.array([self.model.body(f"person{k}/person").id for k in range(self.config.world.num_users)])
+    def boxes(self, *groups: int) -> Boxes:
+        """The boxes of some geom groups."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_kinematics(self.model, data)
+        chosen = np.isin(self.model.geom_group, groups)
+        return Boxes(
+            centre=data.geom_xpos[chosen],
+            half=self.model.geom_size[chosen],
+            axis=data.geom_xmat[chosen].reshape(-1, 3, 3)[:, :2, 0],
+            body=self.model.geom_bodyid[chosen].astype(np.int64),
+        )
 
     @cached_property
     def bumper(self) -> slice:

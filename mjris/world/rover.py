@@ -1,53 +1,77 @@
-"""The rovers of all cells: two drives toward the commanded place, and the bumper that stops both."""
+"""The rovers of all cells: poses, panels, and the bumper that stops any drive."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's names come from a compiled module.
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from mjris.compiled import compiled
 from mjris.config import World
-from mjris.world.office import Office
+from mjris.world.footprints import Footprints, Rectangles, gap
+from mjris.world.office import PERSON_RADIUS_M, Office, feeler_reach, hull_radius
+from mjris.world.people import Crowd
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
-_WHEEL_RADIUS_M = 0.08
-_HALF_TRACK_M = 0.17
-_APPROACH_PER_S = 4.0
-"""Speed per distance left, so that the rover slows down before its target [1/s]."""
-_TURN_PER_S = 4.0
-"""Turning rate per heading error [1/s]."""
-_MAX_TURN_RADPS = 3.0
-_ARRIVED_M = 0.01
-_SPEED_SHARE = 0.97
-"""Wheel commands stay this far below v_max, for the servo's ripple."""
+
+@dataclass(frozen=True)
+class Motion:
+    """What happened in a slot: smallest hull distance met [E] [m] and penetrating contacts [E]."""
+
+    clearance_m: FloatArray
+    collisions: IntArray
+
+
+class Bumper(NamedTuple):
+    """What the bumpers of E rovers feel."""
+
+    reading: FloatArray
+    """Contacts: whether there is one, its distance [m] and normal (3); [E, C, 5], in MuJoCo's own memory."""
+    fresh: NDArray[np.bool_]
+    """Whether nothing that can be felt has moved since it was read [E]."""
+    nearest_m: FloatArray
+    """Smallest distance felt in the slot [E] [m]."""
+    penetrations: IntArray
+    """Penetrating contacts felt in the slot [E]."""
+    keep_m: float
+    """The rover stops this far from what it feels [m]."""
 
 
 class Fleet(ABC):
     """The rovers of E cells on one batch: poses, panels and bumpers. How they move is up to the drive."""
 
-    def __init__(self, config: World, office: Office, batch: Batch):
+    def __init__(self, config: World, office: Office, batch: Batch, solid: Footprints, crowd: Crowd):
+        """`solid` and `crowd` are all that the rovers can meet."""
         self._config = config
         self._batch = batch
+        self._solid = solid
+        self._crowd = crowd
         self._tick_s = config.slot_s / config.ticks_per_slot
+        self.hull_radius_m = hull_radius(office.config)
+        self._feeler_m = feeler_reach(office.config)
         start = office.rover_qpos
         self._qpos = batch.bind("qpos")
         self._qvel = batch.bind("qvel")
         self._pose = self._qpos[:, start : start + 7]
         self._pan = self._qpos[:, office.pan_qpos]
         self._ctrl = batch.bind("ctrl")
-        self._bumper = batch.bind("sensordata")[:, office.bumper].reshape(batch.nsim, -1, 5)
         self._rest = office.model.qpos0.copy()
-        self._sensed = np.zeros(batch.nsim, np.bool_)
-        self.nearest_m = np.full(batch.nsim, np.inf)
-        """Smallest distance that each bumper has felt in the slot [E] [m]."""
-        self.penetrations = np.zeros(batch.nsim, np.int64)
-        """Penetrating contacts that each bumper has felt in the slot [E]."""
+        self._bumper = Bumper(
+            reading=batch.bind("sensordata")[:, office.bumper].reshape(batch.nsim, -1, 5),
+            fresh=np.zeros(batch.nsim, np.bool_),
+            nearest_m=np.full(batch.nsim, np.inf),
+            penetrations=np.zeros(batch.nsim, np.int64),
+            keep_m=config.bumper_m,
+        )
 
     @property
     def xy(self) -> FloatArray:
@@ -57,7 +81,7 @@ class Fleet(ABC):
     @property
     def heading(self) -> FloatArray:
         """Directions of the rovers' fronts [E] [rad]."""
-        return self._heading(slice(None))
+        return _headings(self._pose)
 
     @property
     def panel_heading(self) -> FloatArray:
@@ -70,165 +94,88 @@ class Fleet(ABC):
         self._qvel[cells] = 0
         self._ctrl[cells] = 0
         self._pose[cells, :2] = xy
-        self._turn_to(cells, heading)
-        self.forget(cells)
+        quat = np.zeros((len(cells), 4))
+        quat[:, 0], quat[:, 3] = np.cos(heading / 2), np.sin(heading / 2)
+        self._pose[cells, 3:7] = quat
+        self._bumper.fresh[cells] = False
 
     @abstractmethod
     def face(self, direction: FloatArray) -> None:
         """Turn the panels toward world directions [E] [rad]."""
 
-    def begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:
-        """Begin a slot that leads by `displacement` [E, 2] [m]; the cells that must `drive` through it by ticks.
-
-        `room_m` [E] [m] is how far a hull may go before its bumper can feel furniture. The others, unless `watched`
-        [E], are at the end of their ways at once.
-        """
-        self.nearest_m[:], self.penetrations[:] = np.inf, 0
-        return self._begin(displacement, room_m, watched)
-
-    @abstractmethod
-    def _begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:
-        """`begin`, by the drive."""
+    def move(self, displacement: FloatArray, on_tick: Callable[[], None] | None = None) -> Motion:
+        """One slot of rovers and people: rovers by `displacement` [E, 2] [m]; `on_tick` is called after every tick."""
+        self._bumper.nearest_m[:], self._bumper.penetrations[:] = np.inf, 0
+        self._drive(displacement, on_tick)
+        clearance = self.clearance()
+        self._feel(np.flatnonzero(clearance < self._feeler_m))
+        return Motion(np.minimum(self._bumper.nearest_m, clearance), self._bumper.penetrations.copy())
 
     @abstractmethod
-    def drive(self, cells: IntArray, room_m: FloatArray) -> None:
-        """One tick of some cells' ways; `room_m` [n] [m] as in `begin`, and for people as well."""
+    def _drive(self, displacement: FloatArray, on_tick: Callable[[], None] | None) -> None:
+        """`move`, by the drive."""
 
-    def read(self, cells: IntArray) -> tuple[FloatArray, FloatArray]:
-        """The bumpers of some cells: distance [n, C] [m], inf where there is nothing, and horizontal direction to it.
+    def clearance(self) -> FloatArray:
+        """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
+        return _clearances(self._solid.arrays, self._crowd.walkers.xy, self._pose) - self.hull_radius_m
 
-        Keeps the smallest distance and the penetrations of the slot.
-        """
-        stale = cells[~self._sensed[cells]]
+    def _feel(self, cells: IntArray) -> None:
+        """Have the bumpers of some cells read, and record what they feel."""
+        stale = cells[~self._bumper.fresh[cells]]
         if len(stale):
             self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS, ids=stale)
-            self._sensed[stale] = True
-        reading = self._bumper[cells]
-        distance = np.where(reading[..., 0] > 0, reading[..., 1], np.inf)
-        self.nearest_m[cells] = np.minimum(self.nearest_m[cells], distance.min(-1))
-        self.penetrations[cells] += (distance < 0).sum(-1)
-        return distance, reading[..., 2:4]
-
-    def forget(self, cells: IntArray) -> None:
-        """Something that the bumpers of some cells may feel has moved."""
-        self._sensed[cells] = False
-
-    def _free_travel(self, unit: FloatArray, cells: IntArray) -> FloatArray:
-        """How far rovers may move along `unit` [n, 2] before they are within bumper_m of a contact, [n] [m].
-
-        A contact's normal is that of a plane which separates the hull from a convex obstacle, so that a shorter
-        move along `unit` cannot touch it.
-        """
-        distance, normal = self.read(cells)
-        closing = normal[..., 0] * unit[:, None, 0] + normal[..., 1] * unit[:, None, 1]
-        room = np.maximum(distance - self._config.bumper_m, 0)
-        return np.where(closing > 1e-9, room / np.maximum(closing, 1e-9), np.inf).min(-1)
-
-    def _heading(self, cells: IntArray | slice) -> FloatArray:
-        w, x, y, z = self._pose[cells, 3:7].T
-        return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-    def _turn_to(self, cells: IntArray, heading: FloatArray) -> None:
-        quat = np.zeros((len(heading), 4))
-        quat[:, 0], quat[:, 3] = np.cos(heading / 2), np.sin(heading / 2)
-        self._pose[cells, 3:7] = quat
+        self._bumper.fresh[stale] = True
+        _record(self._bumper, cells)
 
 
-class StraightDrive(Fleet):
-    """Poses moved along the straight line, at the speed and with the bumper of the wheels."""
-
-    def __init__(self, config: World, office: Office, batch: Batch):
-        super().__init__(config, office, batch)
-        self._end = np.zeros((batch.nsim, 2))
-        self._unit = np.zeros((batch.nsim, 2))
-        self._left = np.zeros(batch.nsim)
-
-    def face(self, direction: FloatArray) -> None:
-        """At once."""
-        self._pan[:] = _wrapped(direction - self.heading)
-
-    def _begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:
-        self._end = self._pose[:, :2] + displacement
-        self._left = np.hypot(displacement[:, 0], displacement[:, 1])
-        self._unit = displacement / np.maximum(self._left, 1e-12)[:, None]
-        self._turn()
-        by_ticks = np.logical_or(watched, self._left > room_m)
-        at_once = np.flatnonzero(~by_ticks & (self._left > 0))
-        self._pose[at_once, :2] = self._end[at_once]
-        self.forget(at_once)
-        return np.flatnonzero(by_ticks)
-
-    def drive(self, cells: IntArray, room_m: FloatArray) -> None:
-        """Straight ahead, as far as the bumper allows; it is read where it may feel something."""
-        unit = self._unit[cells]
-        # A hair more than the speed allows, so that rounding leaves nothing over after the last tick.
-        step = np.minimum(self._left[cells], self._config.max_speed_mps * self._tick_s * (1 + 1e-9))
-        wary = np.flatnonzero(step > room_m)
-        if len(wary):
-            step[wary] = np.minimum(step[wary], self._free_travel(unit[wary], cells[wary]))
-        self._left[cells] -= step
-        # From the end, not from the last place: ticks lead to the same number as one leap.
-        self._pose[cells, :2] = self._end[cells] - self._left[cells, None] * unit
-        self.forget(cells[step > 0])
-
-    def _turn(self) -> None:
-        """Face the way ahead; the panel keeps its direction if it has a motor."""
-        moving = np.flatnonzero(self._left > _ARRIVED_M)
-        before = self._heading(moving)
-        ahead = np.arctan2(self._unit[moving, 1], self._unit[moving, 0])
-        self._turn_to(moving, ahead)
-        if self._config.pan != "locked":
-            self._pan[moving] = _wrapped(self._pan[moving] + before - ahead)
+@compiled
+def _record(bumper: Bumper, cells: IntArray) -> None:
+    """Keep the smallest distance and the penetrations of the slot."""
+    for cell in cells:
+        for found, distance in bumper.reading[cell, :, :2]:
+            if found > 0:
+                bumper.nearest_m[cell] = min(bumper.nearest_m[cell], distance)
+                bumper.penetrations[cell] += distance < 0
 
 
-class WheelDrive(Fleet):
-    """Motors, friction and MuJoCo's dynamics."""
+@compiled
+def free_travel(bumper: Bumper, cell: int, unit_x: float, unit_y: float) -> float:
+    """How far a rover may move along a unit vector before it is within keep_m of a contact [m].
 
-    def __init__(self, config: World, office: Office, batch: Batch):
-        super().__init__(config, office, batch)
-        self._substeps = max(1, round(self._tick_s / office.model.opt.timestep))
-        self._wheels = [office.model.actuator(f"rover/wheel_{side}").id for side in ("left", "right")]
-        self._pan_motor = office.model.actuator("rover/panel/pan").id
-        self._target = np.zeros((batch.nsim, 2))
-
-    def face(self, direction: FloatArray) -> None:
-        """By the pan motor, which takes its time."""
-        pan = _wrapped(direction - self.heading)
-        # The nearest equivalent angle: the motor never takes the long way round.
-        self._ctrl[:, self._pan_motor] = self._pan + _wrapped(pan - self._pan)
-
-    def _begin(self, displacement: FloatArray, room_m: FloatArray, watched: NDArray[np.bool_]) -> IntArray:  # noqa: ARG002
-        self._target = self._pose[:, :2] + displacement
-        # Motors and friction want every step, whatever is near.
-        return np.arange(len(room_m))
-
-    def drive(self, cells: IntArray, room_m: FloatArray) -> None:  # noqa: ARG002
-        """Wheel speeds toward the target for the physics steps of a tick; every step reads the bumper."""
-        move = self._target[cells] - self._pose[cells, :2]
-        length = np.hypot(move[:, 0], move[:, 1])
-        heading = self._heading(cells)
-        error = _wrapped(np.arctan2(move[:, 1], move[:, 0]) - heading)
-        # A target behind is reached in reverse gear rather than by a U-turn.
-        reverse = np.abs(error) > math.pi / 2
-        error = np.where(reverse, _wrapped(error - math.pi), error)
-        far = length > _ARRIVED_M
-        speed = np.where(far, np.minimum(_APPROACH_PER_S * length, self._config.max_speed_mps), 0) * np.cos(error) ** 4
-        turn = np.where(far, np.clip(_TURN_PER_S * error, -_MAX_TURN_RADPS, _MAX_TURN_RADPS), 0)
-        gear = np.where(reverse, -1.0, 1.0)
-        ahead = np.stack([np.cos(heading), np.sin(heading)], -1) * gear[:, None]
-        speed = gear * np.minimum(speed * _SPEED_SHARE, self._free_travel(ahead, cells) / self._tick_s)
-        left, right = speed - _HALF_TRACK_M * turn, speed + _HALF_TRACK_M * turn
-        self._ctrl[cells[:, None], self._wheels] = np.stack([left, right], -1) / _WHEEL_RADIUS_M
-        self._batch.step(cells, nstep=self._substeps, stage=mujoco.mjtStage.mjSTAGE_POS)
-        self._sensed[cells] = True
+    A contact's normal is that of a plane which separates the hull from a convex obstacle, so that a shorter
+    move along the vector cannot touch it.
+    """
+    travel = np.inf
+    for found, distance, normal_x, normal_y, _ in bumper.reading[cell]:
+        closing = normal_x * unit_x + normal_y * unit_y
+        if found > 0 and closing > 1e-9:
+            travel = min(travel, max(distance - bumper.keep_m, 0.0) / closing)
+    return travel
 
 
-def make_fleet(config: World, office: Office, batch: Batch) -> Fleet:
-    """The rovers with the drive of `config`."""
-    drive = StraightDrive if config.drive == "kinematic" else WheelDrive
-    return drive(config, office, batch)
+@compiled
+def heading_of(pose: FloatArray) -> float:
+    """Direction of a rover's front, from its pose [7], from its quaternion [rad]."""
+    w, x, y, z = pose[3:7]
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def _wrapped(angle: FloatArray) -> FloatArray:
-    """Angles in [-π, π)."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
+@compiled
+def _headings(poses: FloatArray) -> FloatArray:
+    headings = np.empty(len(poses))
+    for cell in range(len(poses)):
+        headings[cell] = heading_of(poses[cell])
+    return headings
+
+
+@compiled
+def _clearances(solid: Rectangles, people: FloatArray, pose: FloatArray) -> FloatArray:
+    """Distance of the rovers' middles to the nearest furniture, wall or person [E] [m]."""
+    clearances = np.empty(len(pose))
+    for cell in range(len(pose)):
+        x, y = pose[cell, 0], pose[cell, 1]
+        nearest = gap(solid, cell % solid[0].shape[1], x, y)
+        for k in range(people.shape[1]):
+            nearest = min(nearest, math.hypot(people[cell, k, 0] - x, people[cell, k, 1] - y) - PERSON_RADIUS_M)
+        clearances[cell] = nearest
+    return clearances

@@ -1,77 +1,105 @@
-"""Which obstacles block each link: rays from transmitter to receiver, one obstacle further each round."""
+"""Which obstacles block each link: the segment from end to end against every brick, and every person if asked."""
 
-# pyright: reportAttributeAccessIssue=false
-# MuJoCo's names come from a compiled module.
-import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from mjris.world.office import GROUP_BLOCKERS, GROUP_PEOPLE, Office
+from mjris.compiled import compiled
+from mjris.world.footprints import slab
+from mjris.world.office import GROUP_BLOCKERS, PERSON_HEIGHT_M, PERSON_RADIUS_M, Boxes, Office
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
-_NUDGE_M = 1e-6
-"""How far behind a hit the next ray starts, so that touching obstacles cannot hold it up."""
-
 
 class Sight:
-    """Counts the obstacles on straight links, for every cell of a batch in one call a round.
+    """Counts the obstacles on straight links.
 
-    An obstacle is a body, however many of its bricks the link meets. With `body_blockage` people count as well,
-    except the link's own user.
+    An obstacle is a body, however many of its bricks the link meets. MuJoCo's rays (`mj_ray`) find the same ones, one
+    a call; here all are found in one pass.
     """
 
-    def __init__(self, office: Office, batch: Batch, body_blockage: bool, own_furniture: bool):
-        """`own_furniture` says that cells differ in it, and each has to cast its rays itself."""
-        self._batch = batch
-        self._body_of_geom = office.model.geom_bodyid.astype(np.int64)
-        self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
-        self._groups[GROUP_BLOCKERS] = 1
-        self._groups[GROUP_PEOPLE] = body_blockage
-        self._all_alike = not (body_blockage or own_furniture)
+    def __init__(self, offices: list[Office], people_xy: FloatArray | None = None):
+        """For one office or one a cell. People who count as well stand at `people_xy` [E, K, 2] [m], read anew."""
+        self._bricks = Boxes(*map(np.stack, zip(*(office.boxes(GROUP_BLOCKERS) for office in offices), strict=True)))
+        """All with a leading axis of offices."""
+        self._people_xy = np.empty((1, 0, 2)) if people_xy is None else people_xy
 
-    def blockers(self, start: FloatArray, end: FloatArray, own_body: IntArray, ids: IntArray | None = None) -> IntArray:
+    def blockers(
+        self, start: FloatArray, end: FloatArray, own: IntArray | None = None, ids: IntArray | None = None
+    ) -> IntArray:
         """Obstacles between `start` and `end`, both [E, L, 3] [m]: [E, L].
 
-        `own_body` [L] is a body that never counts for that link, -1 for none; `ids` are the cells, all by default.
+        `own` [L] is a person who never counts for that link, -1 for nobody; `ids` are the cells, all by default.
         """
         cells, links = start.shape[:2]
+        own = np.full(links, -1) if own is None else own
         ids = np.arange(cells) if ids is None else ids
-        cell = np.repeat(ids, links)
-        link = np.arange(cells * links)
-        point, delta = start.reshape(-1, 3), (end - start).reshape(-1, 3)
-        left = np.sqrt((delta * delta).sum(-1))
-        direction = delta / np.maximum(left, _NUDGE_M)[:, None]
-        # Bodies that do not count (again), the last met first.
-        passed = np.broadcast_to(own_body, (cells, links)).reshape(-1, 1)
-        count = np.zeros(cells * links, np.int64)
-        while len(link):
-            distance, geom = self._cast(point, direction, passed[:, 0], cell)
-            hit = np.flatnonzero((geom >= 0) & (distance < left))
-            body = self._body_of_geom[geom[hit]]
-            link, cell, passed = link[hit], cell[hit], passed[hit]
-            count[link] += (body[:, None] != passed).all(-1)
-            step = distance[hit] + _NUDGE_M
-            left = left[hit] - step
-            direction = direction[hit]
-            point = point[hit] + step[:, None] * direction
-            passed = np.concatenate([body[:, None], passed], -1)
-        return count.reshape(cells, links)
+        return _blockers(
+            self._bricks, self._people_xy, np.ascontiguousarray(start), np.ascontiguousarray(end), own, ids
+        )
 
-    def _cast(
-        self, point: FloatArray, direction: FloatArray, exclude: IntArray, cell: IntArray
-    ) -> tuple[FloatArray, IntArray]:
-        """First hits of rays [n] in their cells, sorted by those: distances [n] [m] and geoms [n], -1 for none."""
-        if self._all_alike:
-            # One cell can cast for all.
-            distance, geom = self._batch.ray(point, direction, self._groups, bodyexclude=exclude, ids=[0])
-            return distance[0], geom[0]
-        ids, first, size = np.unique(cell, return_index=True, return_counts=True)
-        at = np.repeat(np.arange(len(ids)), size), np.arange(len(cell)) - np.repeat(first, size)
-        shape = (len(ids), size.max())
-        points, directions, excluded = np.zeros((*shape, 3)), np.tile([0.0, 0.0, 1.0], (*shape, 1)), np.full(shape, -1)
-        points[at], directions[at], excluded[at] = point, direction, exclude
-        distance, geom = self._batch.ray(points, directions, self._groups, bodyexclude=excluded, ids=ids)
-        return distance[at], geom[at]
+
+@compiled
+def _blockers(
+    bricks: Boxes, people: FloatArray, start: FloatArray, end: FloatArray, own: IntArray, ids: IntArray
+) -> IntArray:
+    count = np.zeros(start.shape[:2], np.int64)
+    for e in range(start.shape[0]):
+        office, crowd = ids[e] % bricks.centre.shape[0], ids[e] % people.shape[0]
+        for link in range(start.shape[1]):
+            x, y, z = start[e, link, 0], start[e, link, 1], start[e, link, 2]
+            u, v, w = end[e, link, 0] - x, end[e, link, 1] - y, end[e, link, 2] - z
+            last = -1
+            for b in range(bricks.body.shape[1]):
+                if bricks.body[office, b] != last and _meets_brick(bricks, office, b, x, y, z, u, v, w):
+                    last = bricks.body[office, b]
+                    count[e, link] += 1
+            for k in range(people.shape[1]):
+                if k != own[link] and _meets_person(x - people[crowd, k, 0], y - people[crowd, k, 1], z, u, v, w):
+                    count[e, link] += 1
+    return count
+
+
+@compiled
+def _meets_brick(
+    bricks: Boxes, office: int, b: int, x: float, y: float, z: float, u: float, v: float, w: float
+) -> bool:
+    """Whether a way (u, v, w) from (x, y, z) goes through a brick."""
+    half_z, dz = bricks.half[office, b, 2], z - bricks.centre[office, b, 2]
+    if min(dz, dz + w) > half_z or max(dz, dz + w) < -half_z:
+        return False
+    dx, dy = x - bricks.centre[office, b, 0], y - bricks.centre[office, b, 1]
+    ax, ay = bricks.axis[office, b, 0], bricks.axis[office, b, 1]
+    enter, leave = slab(dx * ax + dy * ay, u * ax + v * ay, bricks.half[office, b, 0], 0.0, 1.0)
+    if enter >= leave:
+        return False
+    enter, leave = slab(dy * ax - dx * ay, v * ax - u * ay, bricks.half[office, b, 1], enter, leave)
+    if enter >= leave:
+        return False
+    enter, leave = slab(dz, w, half_z, enter, leave)
+    return enter < leave
+
+
+@compiled
+def _meets_person(x: float, y: float, z: float, u: float, v: float, w: float) -> bool:
+    """Whether a way (u, v, w) from (x, y, z), seen from a person's feet, comes within the radius of the upright capsule.
+
+    The squared distance to the capsule's axis is convex along the way; where it is least is found on the part below
+    the axis, the part beside it and the part above it.
+    """
+    low, high = PERSON_RADIUS_M, PERSON_HEIGHT_M - PERSON_RADIUS_M
+    flat = u * u + v * v
+    nearest = np.inf
+    for end in (low, high):
+        # Nearest to an end of the axis, as to a ball.
+        length = flat + w * w
+        share = 0.0 if length == 0 else min(max(-(x * u + y * v + (z - end) * w) / length, 0.0), 1.0)
+        dx, dy, dz = x + share * u, y + share * v, z + share * w - end
+        nearest = min(nearest, dx * dx + dy * dy + dz * dz)
+    # Nearest to the axis as to a cylinder, where the way is beside it.
+    enter, leave = slab(z - (low + high) / 2, w, (high - low) / 2, 0.0, 1.0)
+    if enter < leave:
+        share = enter if flat == 0 else min(max(-(x * u + y * v) / flat, enter), leave)
+        dx, dy = x + share * u, y + share * v
+        nearest = min(nearest, dx * dx + dy * dy)
+    return nearest < PERSON_RADIUS_M * PERSON_RADIUS_M

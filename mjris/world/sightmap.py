@@ -58,7 +58,7 @@ class SightMap:
             self._between[square_office, square] = row[0]
 
     def _cast(self, cells: IntArray, start: FloatArray, end: FloatArray) -> IntArray:
-        return self._sight.blockers(start, end, np.full(start.shape[1], -1), ids=cells)
+        return self._sight.blockers(start, end, ids=cells)
 
     def _office(self, cells: int) -> IntArray:
         return np.arange(cells) % self._offices

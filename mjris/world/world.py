@@ -1,7 +1,6 @@
 """The physical side of E cells on one MuJoCo batch: offices, rovers, people and lines of sight."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -9,6 +8,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError
+from mjris.world.drives import make_fleet
 from mjris.world.footprints import footprints
 from mjris.world.jitter import jittered
 from mjris.world.layout import Layout
@@ -18,13 +18,12 @@ from mjris.world.office import (
     PERSON_RADIUS_M,
     Office,
     build,
-    feeler_reach,
     hull_height,
     hull_radius,
 )
 from mjris.world.paths import Paths
 from mjris.world.people import Crowd
-from mjris.world.rover import make_fleet
+from mjris.world.rover import Motion
 from mjris.world.sight import Sight
 from mjris.world.sightmap import SightMap
 
@@ -34,14 +33,6 @@ IntArray = NDArray[np.int64]
 _PLACING_TRIES = 2000
 _WAY_MARGIN_M = 0.05
 """Planned ways leave this much more room than the bumper asks for, a tick's way at the default speed."""
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What happened in a slot: smallest hull distance met [E] [m] and penetrating contacts [E]."""
-
-    clearance_m: FloatArray
-    collisions: IntArray
 
 
 class World:
@@ -60,13 +51,11 @@ class World:
         if jitter > 0:
             self.batch.set_models([each.model for each in self.offices])
         self.hull_radius_m = hull_radius(config)
-        self._cells = np.arange(self.num_cells)
-        self._feeler_m = feeler_reach(config)
         self._hull_solid = footprints(self.offices, HULL_FLOOR_GAP_M, hull_height(config))
         self._body_solid = footprints(self.offices, 0.0, PERSON_HEIGHT_M)
-        self.fleet = make_fleet(config.world, office, self.batch)
-        self.crowd = Crowd(config.world, office, self.batch, self._body_solid, self.hull_radius_m)
-        self.sight = Sight(office, self.batch, config.world.body_blockage, own_furniture=jitter > 0)
+        self.crowd = Crowd(config.world, office, self.batch, self._body_solid)
+        self.fleet = make_fleet(config.world, office, self.batch, self._hull_solid, self.crowd)
+        self.sight = Sight(self.offices, self.crowd.walkers.xy if config.world.body_blockage else None)
         self.on_tick: Callable[[], None] | None = None
         """Called after every tick, for those who film."""
 
@@ -93,43 +82,11 @@ class World:
     def move(self, displacement: FloatArray, distance: FloatArray, direction: FloatArray) -> Motion:
         """One slot: rovers move by `displacement` [E, 2] [m], people `distance` [m], `direction` [rad], both [E, K]."""
         self.crowd.plan(distance, direction)
-        length = np.hypot(displacement[:, 0], displacement[:, 1])
-        filming = self.on_tick is not None
-        close = length + max(self._feeler_m, self.config.clearance_m)
-        meeting = np.logical_or(filming, (self._people_gaps(self._cells) - self.crowd.stride_m()).min(-1) <= close)
-        busy = self.fleet.begin(displacement, self._solid_gaps() - self._feeler_m, meeting)
-        walkers = np.flatnonzero(meeting)
-        self.crowd.arrive(np.flatnonzero(~meeting))
-        at = np.searchsorted(busy, walkers)
-        reach = self.config.max_speed_mps * self.config.slot_s + self._feeler_m + self.hull_radius_m
-        solid = self._hull_solid.of(busy).near(self.fleet.xy[busy], reach)
-        for _ in range(self.config.ticks_per_slot if len(busy) else 0):
-            xy = self.fleet.xy
-            room = solid.distance(xy[busy]) - self.hull_radius_m
-            if len(walkers):
-                self.crowd.walk(walkers, xy[walkers])
-                people = self._people_gaps(walkers).min(-1)
-                self.fleet.forget(walkers[people <= self._feeler_m])
-                room[at] = np.minimum(room[at], people)
-            self.fleet.drive(busy, room - self._feeler_m)
-            if self.on_tick is not None:
-                self.on_tick()
-        clearance = self.clearance()
-        self.fleet.read(np.flatnonzero(clearance < self._feeler_m))
-        return Motion(np.minimum(self.fleet.nearest_m, clearance), self.fleet.penetrations.copy())
+        return self.fleet.move(displacement, self.on_tick)
 
     def clearance(self) -> FloatArray:
         """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
-        return np.minimum(self._solid_gaps(), self._people_gaps(self._cells).min(-1))
-
-    def _solid_gaps(self) -> FloatArray:
-        """Distance of the hulls to furniture and walls [E] [m]."""
-        return self._hull_solid.distance(self.fleet.xy[:, None])[:, 0] - self.hull_radius_m
-
-    def _people_gaps(self, cells: IntArray) -> FloatArray:
-        """Distance of the hulls of `cells` [n] to every person [n, K] [m]."""
-        away = self.crowd.xy[cells] - self.fleet.xy[cells][:, None]
-        return np.hypot(away[..., 0], away[..., 1]) - PERSON_RADIUS_M - self.hull_radius_m
+        return self.fleet.clearance()
 
     def free_share(self, start: FloatArray, end: FloatArray, keep_m: float) -> FloatArray:
         """Share of segments [E, P, 2] [m] up to `keep_m` [m] from what the hull can bump into but people, [E, P].
@@ -158,11 +115,10 @@ class World:
     @cached_property
     def sight_map(self) -> SightMap:
         """Furniture between the users' and the panel's height, and to the AP; people do not count."""
-        sight = Sight(self.office(0), self.batch, body_blockage=False, own_furniture=len(self.offices) > 1)
         layout = self.office(0).layout
         ap = np.stack([office.ap_position for office in self.offices])
         room, start = np.array(layout.room.size[:2]), np.array(layout.start)
-        return SightMap(sight, room, start, ap, self.config.user_height_m, self.config.panel_height_m)
+        return SightMap(Sight(self.offices), room, start, ap, self.config.user_height_m, self.config.panel_height_m)
 
     def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
         """Random places [K, 2] [m] with clearance from everything."""
