@@ -43,6 +43,7 @@ class StraightDrive(Fleet):
             end=np.zeros((cells, 2)),
             unit=np.zeros((cells, 2)),
             left_m=np.zeros(cells),
+            room_m=np.zeros(cells),
             tick=np.zeros(cells, np.int64),
             waits=np.zeros(cells, np.bool_),
             # A hair more than the speed allows, so that rounding leaves nothing over after the last tick.
@@ -74,6 +75,8 @@ class _Way(NamedTuple):
     """Their directions [E, 2]."""
     left_m: FloatArray
     """What is left of them [E] [m]."""
+    room_m: FloatArray
+    """Furniture and walls are at least that far from the rover's middle [E] [m]."""
     tick: IntArray
     """Ticks that are behind each [E]."""
     waits: NDArray[np.bool_]
@@ -92,7 +95,7 @@ def _set_out(way: _Way, pose: FloatArray, pan: FloatArray, displacement: FloatAr
         length = math.hypot(u, v)
         way.end[cell, 0], way.end[cell, 1] = pose[cell, 0] + u, pose[cell, 1] + v
         way.unit[cell, 0], way.unit[cell, 1] = u / max(length, 1e-12), v / max(length, 1e-12)
-        way.left_m[cell], way.tick[cell], way.waits[cell] = length, 0, False
+        way.left_m[cell], way.room_m[cell], way.tick[cell], way.waits[cell] = length, 0.0, 0, False
         if length > _ARRIVED_M:
             before, ahead = heading_of(pose[cell]), math.atan2(v, u)
             pose[cell, 3:7] = 0
@@ -114,7 +117,9 @@ def _go_on(way: _Way, tick: int, pose: FloatArray, people: Walkers, solid: Recta
                 person = walk(people, cell, x, y) - PERSON_RADIUS_M
                 if person <= way.out_of_reach_m:
                     bumper.fresh[cell] = False
-                way.waits[cell] = step > min(gap(solid, office, x, y), person) - way.out_of_reach_m
+                if step > way.room_m[cell] - way.out_of_reach_m:
+                    way.room_m[cell] = gap(solid, office, x, y)
+                way.waits[cell] = step > min(way.room_m[cell], person) - way.out_of_reach_m
             if way.waits[cell]:
                 if not bumper.fresh[cell]:
                     anyone_waits = True
@@ -124,6 +129,7 @@ def _go_on(way: _Way, tick: int, pose: FloatArray, people: Walkers, solid: Recta
             if step > 0:
                 bumper.fresh[cell] = False
                 way.left_m[cell] -= step
+                way.room_m[cell] -= step
                 # From the end, not from the last place: ticks lead to the same number as one leap.
                 pose[cell, 0] = way.end[cell, 0] - way.left_m[cell] * way.unit[cell, 0]
                 pose[cell, 1] = way.end[cell, 1] - way.left_m[cell] * way.unit[cell, 1]
