@@ -170,8 +170,6 @@ class Task:
     """even: shares of what a user may have; qos: the closed-form split, for least rates from the QoS on."""
     qos_headroom: NonNegative = 0.1
     """How far above the QoS an action can set a user's least rate, relative."""
-    effort_cost: NonNegative = 0.0
-    """What full corrections (of a goal, weights, or least rates) cost in the reward [Mb/s]."""
     map_potential: NonNegative = 0.0
     """Weight of what the radio map says that the RIS gains where the rover is, as a potential in the reward; with
     1/(1 - γ) the critic has only to learn how the map errs, and the best policy stays the same."""

@@ -24,10 +24,9 @@ def link_gains(simulator: Simulator, places: FloatArray) -> tuple[FloatArray, Fl
     panels = np.concatenate([places, height], -1)
     ends = np.concatenate([receivers, simulator.ap_position[:, None]], 1)
     toward = ends[:, None] - panels[:, :, None]
-    x, y, z = (toward[..., axis] for axis in range(3))
     users = world.sight_map.between(receivers[..., :2], places)
     blockers = np.concatenate([users, world.sight_map.from_ap(places)[..., None]], -1)
-    loss_db = propagation.path_loss_db(np.sqrt(x * x + y * y + z * z), blockers, config.radio.carrier_hz)
+    loss_db = propagation.path_loss_db(np.sqrt(np.vecdot(toward, toward)), blockers, config.radio.carrier_hz)
     normal = channel.panel_normal(simulator.bisector(places))[:, :, None]
     pattern = channel.element_gain(config.radio.element_pattern, config.radio.element_exponent, normal, toward)
     gain = propagation.db_to_linear(-loss_db) * pattern
@@ -79,7 +78,7 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
     present, values = predicted[:, 0], np.zeros(way_m.shape)
     np.put_along_axis(values, near, predicted[:, 1:], 1)
     staying = np.maximum(horizon_m - way_m, 0) * values
-    total = np.where(within, paths.along(way_m, present, values) + staying, -np.inf)
+    total = np.where(within, paths.along(way_m, present, values, horizon_m) + staying, -np.inf)
     stay = horizon_m * present >= total.max(1)
     goal = np.where(stay[:, None], here, paths.nodes[total.argmax(1)])
     return goal, np.maximum(horizon_m * present, total.max(1)) / horizon_m

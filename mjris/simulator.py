@@ -1,6 +1,7 @@
 """The simulator: E cells stepped together once a slot, from motion over sight and channels to rates."""
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.compiled import compiled
 from mjris.config import Config
 from mjris.constraints import Constraints, evaluate
 from mjris.radio import access, channel, control, propagation
@@ -117,6 +119,9 @@ class Simulator:
         self._antennas = channel.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
         self._own_person = np.array([*range(k), *range(k), -1])
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
+        """Of h_d, G and h_r, [E, K M + N M + K N]."""
+        users = np.arange(k)
+        self._link_of_entry = np.concatenate([users.repeat(m), np.full(n * m, 2 * k), k + users.repeat(n)])
         self._order = np.zeros((num_cells, *self.clusters.shape), np.int64)
         self._fresh = np.ones(num_cells, np.bool_)
         self.resets, self.slots = 0, 0
@@ -253,10 +258,7 @@ class Simulator:
 
     def bisector(self, places: FloatArray) -> FloatArray:
         """Where a panel at `places` [E, P, 2] [m] should face: between the AP and the users' middle, [E, P] [rad]."""
-        toward_ap = _direction(self.ap_position[:, None, :2] - places)
-        toward_users = _direction(_direction(self.world.crowd.xy[:, None] - places[:, :, None]).mean(2))
-        middle = toward_ap + toward_users
-        return np.arctan2(middle[..., 1], middle[..., 0])
+        return _bisectors(self.ap_position, self.world.crowd.xy, np.ascontiguousarray(places))
 
     def _face_panels(self, pan_rad: FloatArray | None = None) -> None:
         if self.config.world.pan != "locked":
@@ -305,19 +307,14 @@ class Simulator:
         amplitude = np.sqrt(propagation.db_to_linear(-loss_db))
         amplitude[:, k:] *= np.sqrt(gain)
         k_factor = np.where(blockers > 0, 0.0, propagation.db_to_linear(radio.rician_k_db))
-        parts = np.split(self._diffuse, [k * m, k * m + n * m], axis=1)
-        wavelength = radio.wavelength_m
-
-        def link(los: ComplexArray, diffuse: ComplexArray, links: slice) -> ComplexArray:
-            per_link = (..., links, *(None,) * (los.ndim - 2))
-            faded = propagation.rician(los, diffuse.reshape(los.shape), k_factor[per_link])
-            return amplitude[per_link] * faded
-
-        direct = link(channel.phase_ramp(receivers, self._antennas, wavelength), parts[0], slice(0, k))
-        reflected = link(channel.phase_ramp(receivers, elements, wavelength), parts[2], slice(k, 2 * k))
-        ramp = channel.phase_ramp(elements, self._antennas, wavelength)
-        incident = link(ramp[:, None], parts[1], slice(2 * k, 2 * k + 1))[:, 0]
-        return channel.Channels(direct, incident, reflected)
+        # Entries of all three channels side by side, as in `_diffuse`: they fade in one go.
+        ends = (receivers, self._antennas), (elements, self._antennas), (receivers, elements)
+        ramps = [channel.phase_ramp(*pair, radio.wavelength_m).reshape(self.num_cells, -1) for pair in ends]
+        faded = propagation.rician(np.concatenate(ramps, 1), self._diffuse, k_factor[:, self._link_of_entry])
+        direct, incident, reflected = np.split(
+            amplitude[:, self._link_of_entry] * faded, [k * m, k * m + n * m], axis=1
+        )
+        return channel.Channels(direct.reshape(-1, k, m), incident.reshape(-1, n, m), reflected.reshape(-1, k, n))
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:
         """Fresh diffuse fading of some cells [n, ...], correlated between cells by the difference factor."""
@@ -339,7 +336,25 @@ class Simulator:
         return distance, 2 * np.pi * uniform[:, 1]
 
 
-def _direction(vector: FloatArray) -> FloatArray:
-    """Unit vectors [..., 2]; zero stays zero."""
-    length = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return vector / np.where(length > 0, length, 1)
+@compiled
+def _bisectors(ap: FloatArray, users: FloatArray, places: FloatArray) -> FloatArray:
+    """`Simulator.bisector` for APs [E, 3] and users [E, K, 2]."""
+    headings = np.empty(places.shape[:2])
+    for e in range(places.shape[0]):
+        for p in range(places.shape[1]):
+            x, y = places[e, p]
+            users_x, users_y = 0.0, 0.0
+            for k in range(users.shape[1]):
+                toward_x, toward_y = _unit(users[e, k, 0] - x, users[e, k, 1] - y)
+                users_x, users_y = users_x + toward_x, users_y + toward_y
+            users_x, users_y = _unit(users_x, users_y)
+            ap_x, ap_y = _unit(ap[e, 0] - x, ap[e, 1] - y)
+            headings[e, p] = math.atan2(ap_y + users_y, ap_x + users_x)
+    return headings
+
+
+@compiled
+def _unit(x: float, y: float) -> tuple[float, float]:
+    """The vector with length one; zero stays zero."""
+    length = math.sqrt(x * x + y * y)
+    return (x / length, y / length) if length > 0 else (0.0, 0.0)

@@ -52,14 +52,6 @@ class Task:
         circle = np.stack([np.cos(angles), np.sin(angles)], -1)
         self._map_offsets = np.concatenate([radius * circle for radius in _MAP_RADII_M])
         self._lidar_ends = _MAP_RADII_M[-1] * circle
-        kinds = [
-            (2, config.task.motion == "goal"),
-            (self._num_phases, config.task.phase_control == "weights"),
-            (users, config.task.power_reference == "qos"),
-            (int(self._pans), True),
-        ]
-        self._corrections = np.concatenate([np.full(size, is_one) for size, is_one in kinds])
-        """Which entries of an action correct a closed form, [A]."""
         self._planned_at: tuple[int, int] | None = None
         self._planned: tuple[FloatArray, FloatArray]
         self._valued_at: tuple[int, int] | None = None
@@ -78,7 +70,7 @@ class Task:
         before = self._potential()
         slot = self.simulator.step(*self.decode(action))
         shaping = self.config.agent.discount * self._potential() - before
-        return Outcome(self.observe(), self.reward(slot) - self._effort(action) + shaping, slot)
+        return Outcome(self.observe(), self.reward(slot) + shaping, slot)
 
     def _potential(self) -> FloatArray:
         """Potential of the present scene [E] [Mb/s], for rewards shaped as in Ng, Harada and Russell (1999)."""
@@ -91,11 +83,6 @@ class Task:
             here = place_values(simulator, simulator.scene.rover_xy[:, None])[:, 0]
             self._valued_at, self._valued = now, weight * (here - bare_values(simulator)) / 1e6
         return self._valued
-
-    def _effort(self, action: FloatArray) -> FloatArray:
-        """What corrections to the closed forms cost [E] [Mb/s]: the mean square of those entries."""
-        corrections = np.clip(np.asarray(action, np.float64), -1, 1)[:, self._corrections]
-        return self.config.task.effort_cost * (corrections**2).sum(-1) / max(1, corrections.shape[1])
 
     def decode(self, action: FloatArray) -> Controls:
         """What actions [E, A] command.

@@ -263,7 +263,7 @@ def value(rates_bps: np.ndarray) -> np.ndarray:
 def test_rewards():
     for kind in ("sum_rate", "gain"):
         missed = []
-        free = changed(OFFICE, reward=kind, effort_cost=0.0)
+        free = changed(OFFICE, reward=kind)
         for outcome in [*play(free, 10), *play(free, 20, scale=0)]:
             bare_bps = outcome.slot.bare_rates_bps
             assert (bare_bps is not None) == (kind == "gain")
@@ -289,15 +289,6 @@ def test_the_map_as_a_potential_shapes_rewards_and_adds_up_to_its_ends():
         factor *= discount
     np.testing.assert_allclose(total, factor * potential() - first, atol=1e-9)
     assert np.abs(total).max() > 0.05
-
-
-def test_corrections_cost_their_mean_square():
-    dear, free = Task(changed(OFFICE, effort_cost=0.5)), Task(changed(OFFICE, effort_cost=0.0))
-    action = np.linspace(-1.5, 1, dear.action_size)[None]
-    effort = 0.5 * (np.clip(action, -1, 1) ** 2).mean()
-    assert free.step(action).reward - dear.step(action).reward == pytest.approx(effort)
-    # In the paper's task nothing is a correction.
-    assert Task(changed(preset("paper"), effort_cost=0.5)).step(np.ones((1, 22))).reward > 0
 
 
 def test_random_phases_are_reproducible_and_ignore_the_action():

@@ -73,7 +73,7 @@ def test_ids_point_at_what_they_name():
     data.qpos[made.rover_qpos : made.rover_qpos + 2] = [3.0, 4.0]
     data.qpos[made.pan_qpos] = pan
     mujoco.mj_forward(model, data)
-    np.testing.assert_allclose(data.xpos[made.person_bodies], np.arange(18).reshape(6, 3))
+    np.testing.assert_allclose([data.body(f"person{k}/person").xpos for k in range(6)], np.arange(18).reshape(6, 3))
     np.testing.assert_allclose(data.body("rover/chassis").xpos[:2], [3, 4])
     panel = data.body("rover/panel/panel")
     np.testing.assert_allclose(panel.xpos, [3, 4, Config().world.panel_height_m], atol=1e-9)

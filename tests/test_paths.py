@@ -207,7 +207,7 @@ def test_values_along_a_straight_way():
     start = np.array([[1.0, 2.0], [1.2, 2.0]])
     x = made.nodes[:, 0]
     length = made.distance_to_nodes(start)
-    integral = made.along(length, start[:, 0], np.stack([x, x]))
+    integral = made.along(length, start[:, 0], np.stack([x, x]), np.inf)
     row = (made.nodes[:, 1] == 2.0) & (x > 2)
     for e in (0, 1):
         np.testing.assert_allclose(length[e, row], x[row] - start[e, 0], rtol=1e-5)
@@ -219,7 +219,7 @@ def test_values_along_ways_around_furniture():
     start, present = np.array([[3.4, 0.6], [6.3, 4.7]]), np.array([0.3, 0.9])
     values = np.random.default_rng(0).uniform(0, 1, (2, len(made.nodes)))
     length = made.distance_to_nodes(start)
-    integral = made.along(length, present, values)
+    integral = made.along(length, present, values, np.inf)
     reach = np.linalg.norm(made.nodes[:, None] - made.nodes, axis=-1)
     rooted = 0
     for e in (0, 1):

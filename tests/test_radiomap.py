@@ -56,7 +56,7 @@ def test_goals_promise_the_most_of_all_places_and_of_staying(simulator):
     paths, here = simulator.world.paths, simulator.world.fleet.xy
     present, values = place_values(simulator, here[:, None])[:, 0], node_values(simulator)
     length = paths.distance_to_nodes(here)
-    on_the_way = paths.along(length, present, values)
+    on_the_way = paths.along(length, present, values, np.inf)
     for e in range(3):
         totals = [(12 * present[e], here[e])]
         for node in np.flatnonzero(length[e] < 6):

@@ -53,7 +53,8 @@ def element_gain(pattern: str, exponent: float, normal: Array, direction: Array)
     radiates all of the power (SimRIS: 2q = n = 0.57). Vectors of any length. Raises `ValueError` for any other pattern.
     """
     xp = array_namespace(normal, direction)
-    cosine = xp.sum(_unit(normal) * _unit(direction), axis=-1)
+    square = xp.vecdot(normal, normal) * xp.vecdot(direction, direction)
+    cosine = xp.vecdot(normal, direction) / xp.sqrt(xp.where(square > 0, square, 1.0))
     if pattern == "isotropic":
         return xp.ones_like(cosine)
     if pattern == "cosine":
@@ -69,8 +70,8 @@ def phase_ramp(receivers: Array, transmitters: Array, wavelength_m: float) -> Ar
     `receivers` [..., A, 3] and `transmitters` [..., B, 3] are positions [m]; d is each pair's own distance.
     """
     xp = array_namespace(receivers, transmitters)
-    x, y, z = (receivers[..., :, None, i] - transmitters[..., None, :, i] for i in range(3))
-    return xp.exp(-2j * math.pi / wavelength_m * xp.sqrt(x**2 + y**2 + z**2))
+    between = receivers[..., :, None, :] - transmitters[..., None, :, :]
+    return xp.exp(-2j * math.pi / wavelength_m * xp.sqrt(xp.vecdot(between, between)))
 
 
 def ris_response(phases_rad: Array, amplitude: Array) -> Array:
@@ -91,5 +92,5 @@ def effective_channel(channels: Channels, response: Array) -> Array:
 def _unit(vector: Array) -> Array:
     """`vector` [..., 3] scaled to length one; zero stays zero, with a finite derivative."""
     xp = array_namespace(vector)
-    square = xp.sum(vector**2, axis=-1, keepdims=True)
+    square = xp.vecdot(vector, vector)[..., None]
     return vector / xp.sqrt(xp.where(square > 0, square, 1.0))

@@ -56,14 +56,15 @@ def qos_aligned_phases(
 ) -> Array:
     """Phases [..., N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum`.
 
-    Starts at `aligned_phases`; then every iteration aligns all elements to Σ_k w_k |h_k g_k|², the users' gains through
-    their present beams, with `weights` [..., K] > 0, None for one. From the third iteration on it is the sum of the
-    logarithms that counts, so that weak users do, too, and whoever misses QoS has his weight doubled. Of all that it
-    meets, it keeps the phases with QoS for every user, and among those the highest sum rate. Other arguments as in
-    `qos_or_sum`.
+    Starts, for every rank among a cluster's users, from the phases for the users of that rank and against the others:
+    a cluster's beam follows its strongest user, and the phases choose who that is. Then every iteration aligns all
+    elements to Σ_k w_k |h_k g_k|², the users' gains through their present beams, with `weights` [..., K] > 0, None for
+    one. From the third iteration on it is the sum of the logarithms that counts, so that weak users do, too, and
+    whoever misses QoS has his weight doubled. Of all that it meets from any start, it keeps the phases with QoS for
+    every user, and among those the highest sum rate. Other arguments as in `qos_or_sum`.
     """
     xp = array_namespace(*channels)
-    phases = aligned_phases(channels, weights)
+    phases = aligned_phases(channels, _for_each_rank(channels.direct, clusters, weights), iterations=0)
     response = xp.exp(1j * phases)
     raised = xp.ones(channels.direct.shape[:-1], dtype=phases.dtype) if weights is None else weights
     best = xp.full(phases.shape[:-1], -math.inf, dtype=phases.dtype)
@@ -81,7 +82,19 @@ def qos_aligned_phases(
             raised = xp.where(missed, 2.0 * raised, raised)
             pull = raised / own  # conj(own) / |own|²
         response = _beam_aligned_response(channels, beams, pull, response)
-    return phases
+    return xp.take_along_axis(phases, xp.argmax(best, axis=0)[None, ..., None], axis=0)[0, ...]
+
+
+def _for_each_rank(direct: Array, clusters: Array, weights: Array | None) -> Array:
+    """Weights [K/V, ..., K] for the users of one rank each, and against the others, per power that they receive."""
+    xp = array_namespace(direct)
+    clusters = partition(clusters, direct.shape[-2], direct)
+    strength = xp.real(xp.vecdot(direct, direct))
+    rank = xp.argsort(xp.argsort(-arranged(strength, clusters), axis=-1), axis=-1)
+    rank = xp.take(xp.reshape(rank, strength.shape), xp.argsort(xp.reshape(clusters, (-1,))), axis=-1)
+    chosen = xp.stack([rank == place for place in range(clusters.shape[1])])
+    liked = xp.ones_like(strength) if weights is None else weights
+    return xp.where(chosen, liked, -1 / liked) / xp.where(strength > 0, strength, 1.0)
 
 
 def split_powers(shares: Array, clusters: Array, scheme: str, tx_power_w: float) -> Array:

@@ -66,7 +66,8 @@ def rician(los: Array, diffuse: Array, k_factor: Array) -> Array:
     `los` has unit modulus, `diffuse` unit mean power, and `k_factor` is their power ratio, linear (0 is Rayleigh);
     all broadcast.
     """
-    return (k_factor / (k_factor + 1)) ** 0.5 * los + (1 / (k_factor + 1)) ** 0.5 * diffuse
+    diffuse_share = 1 / (k_factor + 1)
+    return (k_factor * diffuse_share) ** 0.5 * los + diffuse_share**0.5 * diffuse
 
 
 def _as_array(values: Array) -> tuple[Any, Array]:

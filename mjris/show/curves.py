@@ -51,7 +51,7 @@ def plot_learning(runs: Sequence[Path], table: pd.DataFrame, path: Path) -> None
     several, and the rivals of an evaluation `table` where the unit is theirs. Raises `ConfigError` as `read_metric`.
     """
     task = load(runs[0] / "config.json").task
-    penalised = task.reward == "sum_rate" and task.effort_cost == 0 and task.map_potential == 0
+    penalised = task.reward == "sum_rate" and task.map_potential == 0
     with rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 3.6), dpi=300, layout="compressed")
         above, below = figure.subplots(2, sharex=True)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.compiled import compiled
 from mjris.config import ConfigError
 from mjris.world.footprints import Footprints
 
@@ -85,33 +86,16 @@ class Paths:
 
     def distance_to_nodes(self, start: FloatArray) -> FloatArray:
         """Lengths [E, n] [m] of the shortest ways from `start` [E, 2] [m] to all nodes, inf where there is none."""
-        first, first_m = self._first_nodes(start)
-        office = self._office(np.arange(len(start)))[:, None]
-        return (first_m[..., None] + self.distances[office, first]).min(1)
+        return _to_nodes(*self._first_nodes(start), self.distances)
 
-    def along(self, length: FloatArray, present: FloatArray, values: FloatArray) -> FloatArray:
+    def along(self, length: FloatArray, present: FloatArray, values: FloatArray, most_m: float) -> FloatArray:
         """Integrals of a value along the shortest ways to all nodes [E, n], for their lengths [E, n] [m].
 
         The lengths are those of `distance_to_nodes`. The value is `present` [E] at the start and `values` [E, n] at
-        the nodes, and changes evenly between them. Zero for nodes that cannot be reached.
+        the nodes, and changes evenly between them. Zero for nodes that are not
+        within `most_m` [m].
         """
-        row = np.arange(len(length))[:, None]
-        office = self._office(np.arange(len(length)))
-        before = length[:, self._neighbours] + self._edge_m[office]
-        choice = before.argmin(-1)[..., None]
-        # Nodes whose way comes straight from the start are the roots of a forest.
-        rooted = (np.take_along_axis(before, choice, -1)[..., 0] > length + 1e-4) | np.isinf(length)
-        node = np.arange(length.shape[1])
-        parent = np.where(rooted, node, self._neighbours[node, choice[..., 0]])
-        reached = np.where(np.isinf(length), 0, length)
-        values = np.where(np.isinf(length), 0, values)
-        first = reached * (present[:, None] + values) / 2
-        integral = (reached - reached[row, parent]) * (values + values[row, parent]) / 2
-        # Every round doubles the part of the way that is summed up.
-        while (parent != parent[row, parent]).any():
-            integral += integral[row, parent]
-            parent = parent[row, parent]
-        return integral + first[row, parent]
+        return _along(length, present, values, most_m, self._neighbours, self._edge_m)
 
     def around(self, start: FloatArray, target: FloatArray, people: FloatArray, gap_m: float) -> FloatArray:
         """Places [E, 2] [m] to drive straight at from `start` to `target` [E, 2] [m], around `people` [E, K, 2] [m].
@@ -189,11 +173,8 @@ class Paths:
 
     def _near_nodes(self, places: FloatArray) -> IntArray:
         """The reachable nodes nearest to `places` [E, 2] [m], nearest first, [E, k]."""
-        away = ((self.nodes - places[:, None]) ** 2).sum(-1)
-        away = np.where(self.reachable, away, np.inf)
         count = min(_NEAR_NODES, int(self.reachable.sum(-1).min()))
-        near = np.argpartition(away, count - 1, axis=1)[:, :count]
-        return np.take_along_axis(near, np.take_along_axis(away, near, 1).argsort(1), 1)
+        return _nearest(self.nodes, self.reachable, np.ascontiguousarray(places), count)
 
     def _sees(self, start: FloatArray, ends: FloatArray) -> BoolArray:
         """Whether straight ways from `start` [E, 2] [m] to `ends` [E, P, 2] [m] are free, [E, P]."""
@@ -257,3 +238,66 @@ def _all_pairs(neighbours: IntArray, edge_m: NDArray[np.float32]) -> NDArray[np.
         np.add(distance[:, via, None], distance[via], out=through)
         np.minimum(distance, through, out=distance)
     return distance
+
+
+@compiled
+def _nearest(nodes: FloatArray, reachable: BoolArray, places: FloatArray, count: int) -> IntArray:
+    """The `count` reachable nodes nearest to each place, nearest first, [E, count]."""
+    near = np.empty((len(places), count), np.int64)
+    squared = np.empty(count)
+    for cell in range(len(places)):
+        office = cell % len(reachable)
+        squared[:] = np.inf
+        for node in range(len(nodes)):
+            dx, dy = nodes[node, 0] - places[cell, 0], nodes[node, 1] - places[cell, 1]
+            away = dx * dx + dy * dy
+            if reachable[office, node] and away < squared[-1]:
+                rank = count - 1
+                while rank > 0 and squared[rank - 1] > away:
+                    squared[rank], near[cell, rank] = squared[rank - 1], near[cell, rank - 1]
+                    rank -= 1
+                squared[rank], near[cell, rank] = away, node
+    return near
+
+
+@compiled
+def _to_nodes(first: IntArray, first_m: FloatArray, distances: NDArray[np.float32]) -> FloatArray:
+    """`Paths.distance_to_nodes` over the first nodes [E, k] and the ways there [E, k] [m]."""
+    lengths = np.full((len(first), distances.shape[-1]), np.inf)
+    for cell in range(len(first)):
+        for choice in range(first.shape[1]):
+            if first_m[cell, choice] < np.inf:
+                onward = distances[cell % len(distances), first[cell, choice]]
+                for node in range(len(onward)):
+                    lengths[cell, node] = min(lengths[cell, node], first_m[cell, choice] + onward[node])
+    return lengths
+
+
+@compiled
+def _along(
+    length: FloatArray,
+    present: FloatArray,
+    values: FloatArray,
+    most_m: float,
+    neighbours: IntArray,
+    edge_m: NDArray[np.float32],
+) -> FloatArray:
+    """`Paths.along` over edges `edge_m` [E or 1, n, 16] to `neighbours` [n, 16]."""
+    integrals = np.zeros(length.shape)
+    for cell in range(len(length)):
+        way, value, integral = length[cell], values[cell], integrals[cell]
+        edges = edge_m[cell % len(edge_m)]
+        wanted = np.flatnonzero(way < most_m)
+        # The node before another one on its way is nearer to the start, so that it comes first.
+        for node in wanted[np.argsort(way[wanted])]:
+            parent, shortest = node, np.inf
+            for edge in range(neighbours.shape[1]):
+                through = way[neighbours[node, edge]] + edges[node, edge]
+                if through < shortest:
+                    parent, shortest = neighbours[node, edge], through
+            if shortest > way[node] + 1e-4:
+                # The way to this node comes straight from the start.
+                integral[node] = way[node] * (present[cell] + value[node]) / 2
+            else:
+                integral[node] = integral[parent] + (way[node] - way[parent]) * (value[node] + value[parent]) / 2
+    return integrals

@@ -82,10 +82,9 @@ def _meets_brick(
 
 @compiled
 def _meets_person(x: float, y: float, z: float, u: float, v: float, w: float) -> bool:
-    """Whether a way (u, v, w) from (x, y, z), seen from a person's feet, comes within the radius of the upright capsule.
+    """Whether a way (u, v, w) from (x, y, z), seen from a person's feet, goes through the person's capsule.
 
-    The squared distance to the capsule's axis is convex along the way; where it is least is found on the part below
-    the axis, the part beside it and the part above it.
+    Then it comes within the radius of the capsule's upright axis: of one of its ends, or of the part between.
     """
     low, high = PERSON_RADIUS_M, PERSON_HEIGHT_M - PERSON_RADIUS_M
     flat = u * u + v * v
