@@ -1,4 +1,3 @@
-import array_api_compat.numpy
 import array_api_compat.torch
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from mjris.radio.namespace import array_namespace
 
 def test_each_array_has_its_library():
     for _ in range(2):  # known the second time
-        assert array_namespace(np.ones(2), np.zeros(3)) is array_api_compat.numpy
+        assert array_namespace(np.ones(2), np.zeros(3)) is np
         assert array_namespace(torch.ones(2)) is array_api_compat.torch
         assert array_namespace(torch.ones(2), 1.0) is array_api_compat.torch
 

@@ -3,15 +3,18 @@
 from typing import Any
 
 import array_api_compat
+import numpy as np
 
-_KNOWN: dict[type, Any] = {}
+# NumPy follows the standard by itself.
+_KNOWN: dict[type, Any] = {np.ndarray: np}
 
 
 def array_namespace(*arrays: Any) -> Any:
     """`array_api_compat.array_namespace`: the one library that all `arrays` belong to. Raises `TypeError` for two."""
     kind = type(arrays[0])
+    for array in arrays:
+        if type(array) is not kind:
+            return array_api_compat.array_namespace(*arrays)
     if kind not in _KNOWN:
         _KNOWN[kind] = array_api_compat.array_namespace(arrays[0])
-    if all(type(array) is kind for array in arrays):
-        return _KNOWN[kind]
-    return array_api_compat.array_namespace(*arrays)
+    return _KNOWN[kind]
