@@ -7,6 +7,7 @@ docs/bench.json: --check ends with status 1 where one has lost more than a quart
 """
 
 import json
+import os
 import statistics
 import sys
 from collections.abc import Callable
@@ -14,13 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-import measures
 import tyro
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from mjris.config import preset
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is loaded
+import measures
 
 Part = Literal["simulator", "sight", "training", "optimum", "filming", "starting"]
 EVERYTHING: tuple[Part, ...] = get_args(Part)
@@ -62,13 +65,9 @@ class Row:
 
 def main(options: Options) -> int:
     """Measure, print, and compare or save."""
-    rows = [row for part in options.parts for row in _PARTS[part](options.quick)]
-    table = Table("measured", "median", "least … most", "wanted")
-    for row in rows:
-        low, high = min(row.values), max(row.values)
-        table.add_row(escape(row.name), f"{row.median:{row.form}}", f"{low:{row.form}} … {high:{row.form}}", row.wanted)
-    console = Console()
-    console.print(table)
+    console, rows = Console(), list[Row]()
+    for part in options.parts:
+        rows += _show(console, part, _PARTS[part](options.quick))
     found = {row.name: row.median for row in rows if row.ratio}
     known: dict[str, float] = json.loads(REFERENCE.read_text()) if REFERENCE.exists() else {}
     if options.save:
@@ -81,6 +80,15 @@ def main(options: Options) -> int:
     for name in lost:
         console.print(f"{name}: {found[name]:.3g}, where {known[name]:.3g} is committed", markup=False)
     return int(bool(lost))
+
+
+def _show(console: Console, part: Part, rows: list[Row]) -> list[Row]:
+    table = Table("measured", "median", "least … most", "wanted", title=part)
+    for row in rows:
+        low, high = min(row.values), max(row.values)
+        table.add_row(escape(row.name), f"{row.median:{row.form}}", f"{low:{row.form}} … {high:{row.form}}", row.wanted)
+    console.print(table)
+    return rows
 
 
 def ratios(values: list[float], others: list[float]) -> list[float]:
