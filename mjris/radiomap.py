@@ -1,8 +1,11 @@
 """The radio map: what a place is worth to the RIS, predicted from the layout and where the users stand."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.compiled import compiled
 from mjris.radio import channel, prediction, propagation
 from mjris.simulator import Simulator
 
@@ -18,19 +21,36 @@ def link_gains(simulator: Simulator, places: FloatArray) -> tuple[FloatArray, Fl
     Obstacles are those of the `sight_map`, distances exact. The panel faces the bisector of AP and users, as the pan
     motor would turn it.
     """
-    config, world = simulator.config, simulator.world
+    radio, world = simulator.config.radio, simulator.world
     receivers = world.receivers()
-    height = np.full((*places.shape[:2], 1), config.world.panel_height_m)
-    panels = np.concatenate([places, height], -1)
     ends = np.concatenate([receivers, simulator.ap_position[:, None]], 1)
-    toward = ends[:, None] - panels[:, :, None]
     users = world.sight_map.between(receivers[..., :2], places)
     blockers = np.concatenate([users, world.sight_map.from_ap(places)[..., None]], -1)
-    loss_db = propagation.path_loss_db(np.sqrt(np.vecdot(toward, toward)), blockers, config.radio.carrier_hz)
-    normal = channel.panel_normal(simulator.bisector(places))[:, :, None]
-    pattern = channel.element_gain(config.radio.element_pattern, config.radio.element_exponent, normal, toward)
-    gain = propagation.db_to_linear(-loss_db) * pattern
+    distance, cosine = _directions(
+        ends, np.ascontiguousarray(places), world.config.panel_height_m, simulator.bisector(places)
+    )
+    loss_db = propagation.path_loss_db(distance, blockers, radio.carrier_hz)
+    gain = propagation.db_to_linear(-loss_db) * channel.pattern_gain(
+        radio.element_pattern, radio.element_exponent, cosine
+    )
     return gain[..., -1], gain[..., :-1]
+
+
+@compiled
+def _directions(
+    ends: FloatArray, places: FloatArray, height_m: float, headings: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distances [E, P, L] [m] from panels at `places` [E, P, 2] to `ends` [E, L, 3], and the cosines off boresight."""
+    shape = (*places.shape[:2], ends.shape[1])
+    distance, cosine = np.empty(shape), np.empty(shape)
+    for e in range(shape[0]):
+        for p in range(shape[1]):
+            forward_x, forward_y = math.cos(headings[e, p]), math.sin(headings[e, p])
+            for end in range(shape[2]):
+                x, y = ends[e, end, 0] - places[e, p, 0], ends[e, end, 1] - places[e, p, 1]
+                distance[e, p, end] = math.sqrt(x * x + y * y + (ends[e, end, 2] - height_m) ** 2)
+                cosine[e, p, end] = (forward_x * x + forward_y * y) / max(distance[e, p, end], 1e-12)
+    return distance, cosine
 
 
 def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:

@@ -4,7 +4,6 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from mjris.compiled import compiled
 from mjris.config import Config
 from mjris.constraints import Constraints, evaluate
-from mjris.radio import access, channel, control, propagation
+from mjris.radio import access, channel, propagation, serving
 from mjris.world.layout import load_layout
 from mjris.world.world import World
 
@@ -111,6 +110,7 @@ class Simulator:
         k, m, n = config.world.num_users, radio.num_antennas, radio.num_elements
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
+        self._system = serving.System.of(radio, self.clusters, config.task.qos_bps)
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
@@ -215,35 +215,19 @@ class Simulator:
 
     def rates(self, effective: ComplexArray, powers_w: FloatArray, order: IntArray | None = None) -> FloatArray:
         """Rates [..., K] [bit/s] for effective channels [..., K, M] and powers [..., K] [W]."""
-        radio = self.config.radio
-        if radio.scheme == "oma":
-            return access.oma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w)
-        return access.noma_rates(effective, powers_w, self.clusters, radio.bandwidth_hz, radio.noise_w, order)
+        return serving.rates(self._system, effective, powers_w, order)
 
     def reference_powers(
         self, effective: ComplexArray, wanted_bps: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `control.qos_or_sum`."""
-        return control.qos_or_sum(effective, *self._allocation, wanted_bps=wanted_bps)
+        """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `serving.qos_or_sum`."""
+        return serving.qos_or_sum(self._system, effective, wanted_bps)
 
     def reference_phases(self, weights: FloatArray | None = None) -> FloatArray:
         """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""
         channels = self.scene.channels
         channels = channels._replace(reflected=self.config.radio.element_amplitude * channels.reflected)
-        return control.qos_aligned_phases(channels, *self._allocation, weights=weights)
-
-    @cached_property
-    def _allocation(self) -> tuple[IntArray, str, float, float, float, float]:
-        """What the closed forms of `control` need to know of the system."""
-        radio = self.config.radio
-        return (
-            self.clusters,
-            radio.scheme,
-            radio.tx_power_w,
-            radio.bandwidth_hz,
-            radio.noise_w,
-            self.config.task.qos_bps,
-        )
+        return serving.qos_aligned_phases(self._system, channels, weights)
 
     def _decoding_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
         """None for the order of every slot; with the static order, that of the episode's first slot."""

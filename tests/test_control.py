@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjris.radio.access import decoding_order, noma_rates, oma_rates
+from mjris.radio.access import decoding_order, noma_rates
 from mjris.radio.channel import Channels, effective_channel, ris_response
-from mjris.radio.control import aligned_phases, qos_aligned_phases, qos_first_powers, qos_or_sum, split_powers
+from mjris.radio.control import aligned_phases, qos_first_powers, split_powers
 from mjris.radio.propagation import complex_normal
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
@@ -142,73 +142,3 @@ def test_qos_first_meets_qos_where_power_lasts(seed, qos, static):
 def test_unreachable_qos_leaves_the_power_to_the_others():
     channel = np.array([[1.0 + 0j], [10**0.5]])
     np.testing.assert_array_equal(qos_first_powers(channel, np.array([[0, 1]]), "noma", 10.0, 1.0, 1.0, 4.0), [0, 10])
-
-
-@pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.6), ("oma", 4.0)])
-def test_qos_or_sum_serves_all_or_maximises_the_sum(scheme, qos):
-    channel = complex_normal(np.random.default_rng(3), (200, 4, 3))
-    arguments = (50.0, 1.0, 0.1, qos)
-    rates_of = noma_rates if scheme == "noma" else oma_rates
-    powers, rates = qos_or_sum(channel, CLUSTERS, scheme, *arguments)
-    np.testing.assert_allclose(rates, rates_of(channel, powers, CLUSTERS, 1.0, 0.1), rtol=1e-9)
-    first = qos_first_powers(channel, CLUSTERS, scheme, *arguments)
-    served = (rates_of(channel, first, CLUSTERS, 1.0, 0.1) >= qos).all(-1)
-    assert 0.1 < served.mean() < 0.9
-    np.testing.assert_allclose(powers[served], first[served])
-    if scheme == "noma":
-        strongest = decoding_order(channel, powers, CLUSTERS, 0.1)[~served][..., -1]
-        alone = np.zeros((strongest.shape[0], 4))
-        np.put_along_axis(alone, strongest, 25.0, -1)
-        np.testing.assert_allclose(powers[~served], alone)
-
-
-def test_a_margin_is_taken_where_it_can_be_had_and_never_costs_qos():
-    channel = complex_normal(np.random.default_rng(4), (300, 4, 3))
-    arguments = (50.0, 1.0, 0.1, 0.6)
-    _, plain = qos_or_sum(channel, CLUSTERS, "noma", *arguments)
-    _, wide = qos_or_sum(channel, CLUSTERS, "noma", *arguments, wanted_bps=np.full(4, 0.9))
-    served = (plain >= 0.6).all(-1)
-    np.testing.assert_array_equal((wide >= 0.6).all(-1), served)
-    roomy = (qos_or_sum(channel, CLUSTERS, "noma", 50.0, 1.0, 0.1, 0.9)[1] >= 0.9).all(-1)
-    assert 0 < roomy.sum() < served.sum()
-    np.testing.assert_array_equal((wide >= 0.9 - 1e-9).all(-1), roomy)
-
-
-def test_every_user_may_want_a_rate_of_its_own():
-    channel = complex_normal(np.random.default_rng(7), (50, 4, 3))
-    wanted = np.random.default_rng(8).uniform(0.05, 0.1, (50, 4))
-    powers, rates = qos_or_sum(channel, CLUSTERS, "noma", 500.0, 1.0, 0.1, 0.05, wanted_bps=wanted)
-    order = decoding_order(channel, powers, CLUSTERS, 0.1)
-    for cell in np.flatnonzero((rates >= wanted * (1 - 1e-9)).all(-1)):
-        first = order[cell, :, 0]
-        np.testing.assert_allclose(rates[cell, first], wanted[cell, first], rtol=1e-9)
-    assert (rates >= wanted * (1 - 1e-9)).all(-1).mean() > 0.5
-
-
-@pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.5), ("oma", 2.5)])
-def test_qos_aligned_phases_beat_aligned_ones(scheme, qos):
-    rng = np.random.default_rng(5)
-    channels = random_channels(rng, batch=(200,))
-    channels = channels._replace(reflected=0.3 * channels.reflected)
-    arguments = (CLUSTERS, scheme, 5.0, 1.0, 0.1, qos)
-
-    def score(phases):
-        _, rates = qos_or_sum(effective_channel(channels, ris_response(phases, 1.0)), *arguments)
-        return (rates >= qos).all(-1) * 1e6 + rates.sum(-1)
-
-    plain, better = score(aligned_phases(channels)), score(qos_aligned_phases(channels, *arguments))
-    assert (better >= plain - 1e-9).mean() > 0.95
-    assert (better > plain + 1e-3).mean() > 0.5
-    assert (better > 1e6).sum() > (plain > 1e6).sum()
-    random = score(rng.uniform(-np.pi, np.pi, (200, 16)))
-    assert better.mean() > random.mean()
-
-
-def test_weights_decide_whom_the_panel_serves():
-    channels = random_channels(np.random.default_rng(6), batch=(100,))
-    arguments = (CLUSTERS, "noma", 5.0, 1.0, 0.1, 0.0)
-    for user in range(4):
-        weights = np.where(np.arange(4) == user, 1e3, 1.0) * np.ones((100, 1))
-        phases = qos_aligned_phases(channels, *arguments, weights=weights, iterations=1)
-        gain = (abs(effective_channel(channels, ris_response(phases, 1.0))) ** 2).sum(-1)
-        assert gain.mean(0).argmax() == user

@@ -13,7 +13,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import mjris
 from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv, OfficeVecEnv
-from mjris.radio import control
+from mjris.radio import serving
 from mjris.radiomap import bare_values, best_goals, place_values
 from mjris.simulator import CellId
 from mjris.task import Task
@@ -244,14 +244,14 @@ def test_no_power_action_costs_a_user_its_qos():
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
 def test_action_zero_is_the_closed_forms(scheme):
     task = Task(changed(OFFICE, scheme=scheme), cells=3)
-    simulator, radio = task.simulator, task.config.radio
+    simulator = task.simulator
     move, phases, powers, _ = task.decode(np.zeros((3, task.action_size)))
     np.testing.assert_array_equal(move, simulator.world.way_toward(best_goals(simulator)[0]))
-    budget = simulator.clusters, scheme, radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, task.config.task.qos_bps
-    aligned = control.qos_aligned_phases(simulator.scene.channels, *budget)
+    system = serving.System.of(task.config.radio, simulator.clusters, task.config.task.qos_bps)
+    aligned = serving.qos_aligned_phases(system, simulator.scene.channels)
     np.testing.assert_allclose(phases, aligned)
     wanted = np.full(4, 1.05 * task.config.task.qos_bps)
-    best, _ = control.qos_or_sum(simulator.effective_channel(aligned), *budget, wanted_bps=wanted)
+    best, _ = serving.qos_or_sum(system, simulator.effective_channel(aligned), wanted)
     np.testing.assert_allclose(powers, best, rtol=1e-12)
 
 

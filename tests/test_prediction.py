@@ -31,16 +31,17 @@ def by_hand(direct, incident, reflected, scheme: str) -> list[float]:
         gains.append(((math.sqrt(direct[k]) + 8 * element) ** 2 + 8 * element**2) / RADIO.noise_w)
     if scheme == "oma":
         return [0.5e6 * math.log2(1 + 3 * gain * 2 * RADIO.tx_power_w / 4) for gain in gains]
-    rates = []
-    for cluster in (gains[:2], gains[2:]):
-        weak, strong = min(cluster), 3 * max(cluster)
+    rates = [0.0] * 4
+    for users in ((0, 1), (2, 3)):
+        weaker, stronger = sorted(users, key=lambda user: gains[user])
+        weak, strong = gains[weaker], 3 * gains[stronger]
         budget = RADIO.tx_power_w / 2
         # (2^R - 1) = p e / ((budget - p) e + 1) solved for p
         share = 2 ** (QOS_BPS / 1e6) - 1
         power = share * (budget + 1 / weak) / (1 + share)
         power = power if power <= budget else 0
-        rates.append(1e6 * math.log2(1 + power * weak / ((budget - power) * weak + 1)))
-        rates.append(1e6 * math.log2(1 + (budget - power) * strong))
+        rates[weaker] = 1e6 * math.log2(1 + power * weak / ((budget - power) * weak + 1))
+        rates[stronger] = 1e6 * math.log2(1 + (budget - power) * strong)
     return rates
 
 

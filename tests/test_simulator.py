@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, Radio, Task, World
-from mjris.radio import access, control
+from mjris.radio import access, serving
 from mjris.simulator import CellId, Simulator, Slot
 
 
@@ -212,8 +212,7 @@ def test_bare_rates_are_those_without_ris_under_the_reference_powers(scheme):
     simulator = Simulator(config(scheme=scheme, task=Task(reward="gain")), cells=3)
     radio, task = simulator.config.radio, simulator.config.task
     direct = simulator.scene.channels.direct
-    args = radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, task.qos_bps
-    powers, _ = control.qos_or_sum(direct, simulator.clusters, scheme, *args)
+    powers, _ = serving.qos_or_sum(serving.System.of(radio, simulator.clusters, task.qos_bps), direct)
     rates = access.noma_rates if scheme == "noma" else access.oma_rates
     expected = rates(direct, powers, simulator.clusters, radio.bandwidth_hz, radio.noise_w)
     bare_bps = play(simulator, 1)[0].bare_rates_bps

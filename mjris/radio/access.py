@@ -103,25 +103,16 @@ def cluster_beams(channel: Array, clusters: Array) -> Array:
     return zero_forcing(xp.take_along_axis(channel, heads, axis=-2))
 
 
-def band_beams(channel: Array, clusters: Array) -> Array:
-    """The beam of every user with OMA [..., M, K], zero-forced among the users of its band."""
-    xp = array_namespace(channel)
-    bands = xp.matrix_transpose(clusters)
-    beams = [zero_forcing(xp.take(channel, bands[band, ...], axis=-2)) for band in range(bands.shape[0])]
-    return xp.take(xp.concat(beams, axis=-1), xp.argsort(xp.reshape(bands, (-1,))), axis=-1)
-
-
-def effective_gains(
-    channel: Array, cluster_power_w: Array, clusters: Array, noise_w: float, beams: Array | None = None
-) -> Array:
+def effective_gains(channel: Array, cluster_power_w: Array, clusters: Array, noise_w: float) -> Array:
     """e_k = |h_k g_v|² / (inter-cluster interference + noise) of every user [..., K] [1/W], eq. (SINROMA).
 
-    `cluster_power_w` [..., V] [W] is what each cluster transmits in all, `clusters` as from `partition`. The beams g_v
-    of the clusters [..., M, V] are those of `cluster_beams`, None to work them out.
+    `cluster_power_w` [..., V] [W] is what each cluster transmits in all, `clusters` as from `partition`, and
+    g_v one of the `cluster_beams`.
     """
     xp = array_namespace(channel)
-    received = xp.abs(channel @ (cluster_beams(channel, clusters) if beams is None else beams)) ** 2
-    own = cluster_of(clusters)[:, None] == xp.arange(clusters.shape[0], device=device(channel))
+    received = xp.abs(channel @ cluster_beams(channel, clusters)) ** 2
+    cluster_of_user = xp.argsort(xp.reshape(clusters, (-1,))) // clusters.shape[1]
+    own = cluster_of_user[:, None] == xp.arange(clusters.shape[0], device=device(channel))
     interference = xp.sum(xp.where(own, 0.0, received) * cluster_power_w[..., None, :], axis=-1)
     return xp.sum(xp.where(own, received, 0.0), axis=-1) / (interference + noise_w)
 
@@ -177,11 +168,6 @@ def _loaded_gains(channel: Array, power_w: Array, clusters: Array, noise_w: floa
 def _rates(sinr: Array, bandwidth_hz: float) -> Array:
     """R = B log2(1 + γ) [bit/s]."""
     return bandwidth_hz / math.log(2) * array_namespace(sinr).log1p(sinr)
-
-
-def cluster_of(clusters: Array) -> Array:
-    """The cluster of each user, int [K]."""
-    return array_namespace(clusters).argsort(clusters.reshape((-1,))) // clusters.shape[1]
 
 
 def _unit_rows(matrix: Array) -> Array:

@@ -54,7 +54,12 @@ def element_gain(pattern: str, exponent: float, normal: Array, direction: Array)
     """
     xp = array_namespace(normal, direction)
     square = xp.vecdot(normal, normal) * xp.vecdot(direction, direction)
-    cosine = xp.vecdot(normal, direction) / xp.sqrt(xp.where(square > 0, square, 1.0))
+    return pattern_gain(pattern, exponent, xp.vecdot(normal, direction) / xp.sqrt(xp.where(square > 0, square, 1.0)))
+
+
+def pattern_gain(pattern: str, exponent: float, cosine: Array) -> Array:
+    """`element_gain` [...] for the cosine [...] of the angle off boresight."""
+    xp = array_namespace(cosine)
     if pattern == "isotropic":
         return xp.ones_like(cosine)
     if pattern == "cosine":

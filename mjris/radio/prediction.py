@@ -2,16 +2,21 @@
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.compiled import compiled
 from mjris.config import Radio
-from mjris.radio.control import qos_first_split
-from mjris.radio.namespace import array_namespace
-from mjris.radio.propagation import Array
+from mjris.radio.serving import System, ascending, cancelled, qos_first
+
+FloatArray = NDArray[np.floating]
+IntArray = NDArray[np.int64]
 
 
 def predicted_rates(
-    direct: Array, incident: Array, reflected: Array, clusters: Array, radio: Radio, qos_bps: float
-) -> Array:
-    """Rates [..., K] [bit/s] under QoS-first powers, in the order of `clusters` int [V, K/V] read row by row.
+    direct: FloatArray, incident: FloatArray, reflected: FloatArray, clusters: IntArray, radio: Radio, qos_bps: float
+) -> FloatArray:
+    """Rates [..., K] [bit/s] under QoS-first powers.
 
     `direct` [..., K], `incident` [...] and `reflected` [..., K] are power gains of the links AP–user, AP–RIS and
     RIS–user, element patterns included. A beam is made for the strongest user of its cluster, less the dimensions that
@@ -20,21 +25,46 @@ def predicted_rates(
     has N/V elements in phase for the user that counts, and the other elements add up at random. Clusters are taken as
     perfectly separated.
     """
-    xp = array_namespace(direct)
-    n, v, k = radio.num_elements, radio.num_clusters, direct.shape[-1]
-    one_element = xp.sqrt(incident[..., None] * reflected) * radio.element_amplitude
-    coherent = xp.sqrt(direct) + n / v * one_element
-    gains = (coherent**2 + (n - n / v) * one_element**2) / radio.noise_w
-    gains = xp.take(gains, xp.reshape(clusters, (-1,)), axis=-1)
-    beam_gain = radio.num_antennas - v + 1
-    if radio.scheme == "oma":
-        # A user has K/V of a cluster's bands' noise, and P/K of the power.
-        share = clusters.shape[1]
-        return radio.bandwidth_hz / share * xp.log1p(beam_gain * gains * share * radio.tx_power_w / k) / math.log(2)
-    gains = xp.sort(xp.reshape(gains, (*gains.shape[:-1], *clusters.shape)), axis=-1)
-    gains[..., -1] *= beam_gain
-    budget = xp.full_like(gains[..., 0], radio.tx_power_w / v)
-    powers = qos_first_split(gains, budget, radio.bandwidth_hz, qos_bps)
-    later = xp.flip(xp.cumulative_sum(xp.flip(powers, axis=-1), axis=-1), axis=-1) - powers
-    rates = radio.bandwidth_hz * xp.log1p(gains * powers / (gains * later + 1)) / math.log(2)
-    return xp.reshape(rates, direct.shape)
+    shape = (-1, direct.shape[-1])
+    rates = _predicted(
+        System.of(radio, clusters, qos_bps),
+        radio.num_antennas,
+        radio.num_elements,
+        radio.element_amplitude,
+        np.ascontiguousarray(direct).reshape(shape),
+        np.ascontiguousarray(incident).reshape(-1),
+        np.ascontiguousarray(reflected).reshape(shape),
+    )
+    return rates.reshape(direct.shape)
+
+
+@compiled
+def _predicted(
+    system: System,
+    antennas: int,
+    elements: int,
+    amplitude: float,
+    direct: FloatArray,
+    incident: FloatArray,
+    reflected: FloatArray,
+) -> FloatArray:
+    num_clusters, bands = system.clusters.shape
+    users, beam_gain, in_phase = direct.shape[1], antennas - num_clusters + 1, elements / num_clusters
+    rates, gains, least = np.empty(direct.shape), np.empty(users), np.full(users, system.qos_bps)
+    for place in range(len(direct)):
+        for k in range(users):
+            one_element = math.sqrt(incident[place] * reflected[place, k]) * amplitude
+            coherent = math.sqrt(direct[place, k]) + in_phase * one_element
+            gains[k] = (coherent**2 + (elements - in_phase) * one_element**2) / system.noise_w
+        if system.oma:
+            # A user has K/V of a cluster's bands' noise, and P/K of the power.
+            for k in range(users):
+                snr = beam_gain * gains[k] * bands * system.tx_power_w / users
+                rates[place, k] = system.bandwidth_hz / bands * math.log1p(snr) / math.log(2)
+        else:
+            order = ascending(system, gains)
+            for v in range(num_clusters):
+                gains[order[v, -1]] *= beam_gain
+            powers = qos_first(system, gains, order, system.tx_power_w / num_clusters, least)
+            rates[place] = cancelled(system, gains, powers, order)
+    return rates

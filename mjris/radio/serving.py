@@ -1,0 +1,409 @@
+"""What users get in a slot, and the closed forms for it, compiled cell by cell.
+
+`access` says the same for arrays of any library. There a slot of one cell takes hundreds of operations on a few numbers
+each, which cost many times the arithmetic.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.compiled import compiled
+from mjris.config import Radio
+from mjris.radio.channel import Channels
+
+FloatArray = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+IntArray = NDArray[np.int64]
+
+_LINEAR_ITERATIONS = 2
+"""How often `qos_aligned_phases` goes for the sum of the gains, before it cares for every user."""
+_MORE_THAN_ANY_BPS = 1e12
+
+
+class System(NamedTuple):
+    """Who is served with what."""
+
+    clusters: IntArray
+    """Users of every cluster [V, K/V]; with OMA, column i is the users of band i."""
+    oma: bool
+    tx_power_w: float
+    """P_max [W]"""
+    bandwidth_hz: float
+    noise_w: float
+    """In the whole band [W]."""
+    qos_bps: float
+    """R_QoS [bit/s]"""
+
+    @classmethod
+    def of(cls, radio: Radio, clusters: IntArray, qos_bps: float) -> "System":
+        """With the numbers of a config."""
+        oma = radio.scheme == "oma"
+        return cls(clusters, oma, radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, qos_bps)
+
+
+def rates(system: System, channel: ComplexArray, powers_w: FloatArray, order: IntArray | None = None) -> FloatArray:
+    """Rates [..., K] [bit/s] for effective channels [..., K, M] and powers [..., K] [W].
+
+    `access.noma_rates`, in the given decoding order [..., V, K/V] or that of the slot's gains, or `access.oma_rates`.
+    Raises `ValueError` for a negative power.
+    """
+    if not (powers_w >= 0).all():
+        raise ValueError(f"power_w: {powers_w} is not allowed: every power must be at least 0 W")
+    order = np.empty((0, *system.clusters.shape), np.int64) if order is None else order
+    flat = _rates(system, _flat(channel, 2), _flat(np.broadcast_to(powers_w, channel.shape[:-1]), 1), order)
+    return flat.reshape(channel.shape[:-1])
+
+
+def qos_or_sum(
+    system: System, channel: ComplexArray, wanted_bps: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Powers [..., K] [W] for effective channels [..., K, M], and their rates [..., K] [bit/s]: the most in eq. (R).
+
+    Those of `control.qos_first_powers` where they give every user its QoS: for `wanted_bps` [..., K] >= QoS if that can
+    be had, or else for the QoS itself. If not, it is missed anyhow, and only the sum counts: then the strongest user of
+    a cluster has all of its power. With OMA every user has P/K.
+    """
+    shape = channel.shape[:-1]
+    wanted = np.broadcast_to(system.qos_bps if wanted_bps is None else wanted_bps, shape)
+    powers, reached = _serve_all(system, _flat(channel, 2), _flat(wanted, 1))
+    return powers.reshape(shape), reached.reshape(shape)
+
+
+def qos_aligned_phases(
+    system: System, channels: Channels, weights: FloatArray | None = None, iterations: int = 7
+) -> FloatArray:
+    """Phases [E, N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum`.
+
+    Starts, for every rank among a cluster's users, from the phases for the users of that rank and against the others:
+    a cluster's beam follows its strongest user, and the phases choose who that is. Then every iteration aligns all
+    elements to Σ_k w_k |h_k g_k|², the users' gains through their present beams, with `weights` [E, K] > 0, None for
+    one. From the third iteration on it is the sum of the logarithms that counts, so that weak users do, too, and
+    whoever misses QoS has his weight doubled. Of all that it meets from any start, it keeps the phases with QoS for
+    every user, and among those the highest sum rate. A modulus other than one belongs into `channels.reflected`.
+    """
+    weights = np.ones(channels.direct.shape[:-1]) if weights is None else np.ascontiguousarray(weights)
+    direct, incident, reflected = (np.ascontiguousarray(link) for link in channels)
+    return _aligned_all(system, direct, incident, reflected, weights, iterations)
+
+
+def _flat(values: np.ndarray, axes: int) -> np.ndarray:
+    """`values` with all leading axes but the last `axes` in one, contiguous."""
+    return np.ascontiguousarray(values).reshape(-1, *values.shape[values.ndim - axes :])
+
+
+@compiled
+def _rates(system: System, channel: ComplexArray, powers: FloatArray, order: IntArray) -> FloatArray:
+    found = np.empty(powers.shape)
+    for cell in range(len(channel)):
+        if system.oma:
+            found[cell] = _oma(system, channel[cell], _band_beams(system, channel[cell]), powers[cell])
+        else:
+            budgets = np.zeros(len(system.clusters))
+            for v in range(len(budgets)):
+                for user in system.clusters[v]:
+                    budgets[v] += powers[cell, user]
+            gains = _effective_gains(system, channel[cell], _cluster_beams(system, channel[cell]), budgets)
+            decoded = order[cell] if len(order) > 0 else ascending(system, gains)
+            found[cell] = cancelled(system, gains, powers[cell], decoded)
+    return found
+
+
+@compiled
+def _serve_all(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    powers, reached = np.empty(wanted.shape), np.empty(wanted.shape)
+    for cell in range(len(channel)):
+        powers[cell], reached[cell], _ = _serve(system, channel[cell], wanted[cell])
+    return powers, reached
+
+
+@compiled
+def _serve(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
+    """Powers and rates [K] of `qos_or_sum` in one cell, and the beam of every user [K, M]."""
+    users = len(channel)
+    if system.oma:
+        beams = _band_beams(system, channel)
+        powers = np.full(users, system.tx_power_w / users)
+        return powers, _oma(system, channel, beams, powers), beams
+    heads = _cluster_beams(system, channel)
+    budget = system.tx_power_w / len(system.clusters)
+    gains = _effective_gains(system, channel, heads, np.full(len(heads), budget))
+    order = ascending(system, gains)
+    powers = qos_first(system, gains, order, budget, wanted)
+    reached = cancelled(system, gains, powers, order)
+    for least in (system.qos_bps, 0.0):
+        if reached.min() < system.qos_bps:
+            powers = qos_first(system, gains, order, budget, np.full(users, least))
+            reached = cancelled(system, gains, powers, order)
+    beams = np.empty_like(channel)
+    for v in range(len(heads)):
+        for user in system.clusters[v]:
+            for m in range(heads.shape[1]):
+                beams[user, m] = heads[v, m]
+    return powers, reached, beams
+
+
+@compiled
+def qos_first(system: System, gains: FloatArray, order: IntArray, budget: float, least_bps: FloatArray) -> FloatArray:
+    """`control.qos_first_split` of every cluster, for users [K] decoded in `order` [V, K/V]."""
+    powers = np.empty(len(gains))
+    for v in range(len(order)):
+        left = budget
+        for place in range(order.shape[1] - 1):
+            user = order[v, place]
+            # t/(1+t) = 1 - 2^(-R/B), a hair above it so that rounding never leaves a rate below its QoS.
+            needed = -math.expm1(-math.log(2) / system.bandwidth_hz * least_bps[user]) * (1 + 1e-12)
+            wanted = needed * (left + 1 / gains[user])
+            powers[user] = wanted if wanted <= left else 0.0
+            left -= powers[user]
+        powers[order[v, -1]] = left
+    return powers
+
+
+@compiled
+def cancelled(system: System, gains: FloatArray, powers: FloatArray, order: IntArray) -> FloatArray:
+    """Rates [K] where only users later in `order` [V, K/V] interfere, eq. (inuk), each also decodable by those."""
+    found = np.empty(len(gains))
+    for v in range(len(order)):
+        later, weakest = 0.0, np.inf
+        for place in range(order.shape[1] - 1, -1, -1):
+            user = order[v, place]
+            weakest = min(weakest, gains[user])
+            sinr = weakest * powers[user] / (weakest * later + 1)
+            found[user] = system.bandwidth_hz / math.log(2) * math.log1p(sinr)
+            later += powers[user]
+    return found
+
+
+@compiled
+def ascending(system: System, gains: FloatArray) -> IntArray:
+    """Users of every cluster by ascending gain [V, K/V]."""
+    order = np.empty_like(system.clusters)
+    for v in range(len(order)):
+        for place in range(order.shape[1]):
+            user, free = system.clusters[v, place], place
+            while free > 0 and gains[order[v, free - 1]] > gains[user]:
+                order[v, free] = order[v, free - 1]
+                free -= 1
+            order[v, free] = user
+    return order
+
+
+@compiled
+def _effective_gains(system: System, channel: ComplexArray, beams: ComplexArray, budgets: FloatArray) -> FloatArray:
+    """`access.effective_gains` [K] for beams [V, M] of clusters that transmit `budgets` [V] [W]."""
+    gains = np.empty(len(channel))
+    for v in range(len(beams)):
+        for user in system.clusters[v]:
+            interference = system.noise_w
+            for other in range(len(beams)):
+                if other != v:
+                    interference += _received(channel, user, beams, other) * budgets[other]
+            gains[user] = _received(channel, user, beams, v) / interference
+    return gains
+
+
+@compiled
+def _oma(system: System, channel: ComplexArray, beams: ComplexArray, powers: FloatArray) -> FloatArray:
+    """`access.oma_rates` [K] for the beams of the users [K, M]."""
+    found = np.empty(len(channel))
+    bands = system.clusters.shape[1]
+    for band in range(bands):
+        users = system.clusters[:, band]
+        for user in users:
+            unwanted = system.noise_w / bands
+            for other in users:
+                if other != user:
+                    unwanted += _received(channel, user, beams, other) * powers[other]
+            sinr = _received(channel, user, beams, user) * powers[user] / unwanted  # eq. (SINROMA)
+            found[user] = system.bandwidth_hz / bands / math.log(2) * math.log1p(sinr)
+    return found
+
+
+@compiled
+def _cluster_beams(system: System, channel: ComplexArray) -> ComplexArray:
+    """The beam of every cluster [V, M], zero-forced on its strongest user, eq. (ZFNOMA)."""
+    heads = np.empty(len(system.clusters), np.int64)
+    for v in range(len(heads)):
+        strongest = -1.0
+        for user in system.clusters[v]:
+            strength = _strength(channel, user)
+            if strength > strongest:
+                heads[v], strongest = user, strength
+    return _zero_forcing(channel, heads)
+
+
+@compiled
+def _band_beams(system: System, channel: ComplexArray) -> ComplexArray:
+    """The beam of every user [K, M], zero-forced among the users of its band."""
+    beams = np.empty_like(channel)
+    for band in range(system.clusters.shape[1]):
+        own = _zero_forcing(channel, system.clusters[:, band])
+        for place in range(len(own)):
+            for m in range(own.shape[1]):
+                beams[system.clusters[place, band], m] = own[place, m]
+    return beams
+
+
+@compiled
+def _zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
+    """`access.zero_forcing` of some users: their beams as rows [S, M], eq. (ZF).
+
+    Gauss and Jordan's elimination; a matrix of inner products needs no pivots.
+    """
+    size, antennas = len(users), channel.shape[1]
+    beams = np.empty((size, antennas), np.complex128)
+    gram = np.empty((size, size), np.complex128)
+    for i in range(size):
+        norm = math.sqrt(_strength(channel, users[i]))
+        for m in range(antennas):
+            beams[i, m] = channel[users[i], m].conjugate() / norm
+    for i in range(size):
+        for j in range(size):
+            gram[i, j] = 0
+            for m in range(antennas):
+                gram[i, j] += beams[i, m] * beams[j, m].conjugate()
+    for i in range(size):
+        if not gram[i, i].real > 1e-14:
+            raise np.linalg.LinAlgError("the channels of users who are served together are linearly dependent")
+        for j in range(size):
+            if j != i:
+                factor = gram[j, i] / gram[i, i]
+                for column in range(i, size):
+                    gram[j, column] -= factor * gram[i, column]
+                for m in range(antennas):
+                    beams[j, m] -= factor * beams[i, m]
+    for i in range(size):
+        norm = math.sqrt(_strength(beams, i))
+        for m in range(antennas):
+            beams[i, m] /= norm
+    return beams
+
+
+@compiled
+def _strength(rows: ComplexArray, row: int) -> float:
+    """Squared norm of a row of [S, M]."""
+    total = 0.0
+    for m in range(rows.shape[1]):
+        total += rows[row, m].real ** 2 + rows[row, m].imag ** 2
+    return total
+
+
+@compiled
+def _received(channel: ComplexArray, user: int, beams: ComplexArray, beam: int) -> float:
+    """|h g|² of a user's channel in [K, M] and a beam in [S, M]."""
+    amplitude = 0j
+    for m in range(channel.shape[1]):
+        amplitude += channel[user, m] * beams[beam, m]
+    return amplitude.real**2 + amplitude.imag**2
+
+
+@compiled
+def _aligned_all(
+    system: System,
+    direct: ComplexArray,
+    incident: ComplexArray,
+    reflected: ComplexArray,
+    weights: FloatArray,
+    iterations: int,
+) -> FloatArray:
+    phases = np.empty(incident.shape[:2])
+    for cell in range(len(phases)):
+        best = -np.inf
+        for rank in range(system.clusters.shape[1]):
+            score, response = _climb(
+                system, direct[cell], incident[cell], reflected[cell], weights[cell], rank, iterations
+            )
+            if score > best:
+                best = score
+                for n in range(len(response)):
+                    phases[cell, n] = math.atan2(response[n].imag, response[n].real)
+    return phases
+
+
+@compiled
+def _climb(
+    system: System,
+    direct: ComplexArray,
+    incident: ComplexArray,
+    reflected: ComplexArray,
+    weights: FloatArray,
+    rank: int,
+    iterations: int,
+) -> tuple[float, ComplexArray]:
+    """The best score of `qos_aligned_phases` from the start for one rank, and its coefficients [N]."""
+    users, elements = reflected.shape
+    response, best_response, best = np.ones(elements, np.complex128), np.ones(elements, np.complex128), -np.inf
+    raised, least = weights.copy(), np.full(users, system.qos_bps)
+    _align(incident, reflected, direct.conj(), _for_rank(system, direct, weights, rank), response)
+    for iteration in range(iterations):
+        channel = _effective(direct, incident, reflected, response)
+        _, reached, beams = _serve(system, channel, least)
+        score = reached.sum()
+        if reached.min() >= system.qos_bps:
+            score += _MORE_THAN_ANY_BPS
+        if score > best:
+            best = score
+            best_response[:] = response
+        toward = np.empty(users, np.complex128)
+        for k in range(users):
+            own = 0j
+            for m in range(beams.shape[1]):
+                own += channel[k, m] * beams[k, m]
+            # The tangent of Σ_k w_k |h_k g_k|², or that of its logarithms.
+            if iteration < _LINEAR_ITERATIONS:
+                toward[k] = raised[k] * own.conjugate()
+            else:
+                if reached[k] < system.qos_bps:
+                    raised[k] *= 2
+                toward[k] = raised[k] / own
+        _align(incident, reflected, beams, toward, response)
+    return best, best_response
+
+
+@compiled
+def _effective(
+    direct: ComplexArray, incident: ComplexArray, reflected: ComplexArray, response: ComplexArray
+) -> ComplexArray:
+    """`channel.effective_channel` [K, M]."""
+    channel = direct.copy()
+    for k in range(reflected.shape[0]):
+        for n in range(reflected.shape[1]):
+            through = reflected[k, n] * response[n]
+            for m in range(direct.shape[1]):
+                channel[k, m] += through * incident[n, m]
+    return channel
+
+
+@compiled
+def _align(
+    incident: ComplexArray, reflected: ComplexArray, beams: ComplexArray, weights: np.ndarray, response: ComplexArray
+) -> None:
+    """Turn Σ_k w_k (h_r,k)_n (G g_k)_n real for every element n, for beams g [K, M]; without any it stays as it is."""
+    for n in range(reflected.shape[1]):
+        pull = 0j
+        for k in range(reflected.shape[0]):
+            toward = 0j
+            for m in range(beams.shape[1]):
+                toward += incident[n, m] * beams[k, m]
+            pull += weights[k] * reflected[k, n] * toward
+        modulus = math.hypot(pull.real, pull.imag)
+        if modulus > 0:
+            response[n] = pull.conjugate() / modulus
+
+
+@compiled
+def _for_rank(system: System, direct: ComplexArray, weights: FloatArray, rank: int) -> FloatArray:
+    """Weights [K] for the users of one rank, and against the others, per power that they receive."""
+    strength, liked = np.empty(len(direct)), np.empty(len(direct))
+    for user in range(len(direct)):
+        strength[user] = _strength(direct, user)
+    order = ascending(system, strength)
+    for v in range(len(order)):
+        for place in range(order.shape[1]):
+            user = order[v, place]
+            weight = weights[user] if place == order.shape[1] - 1 - rank else -1 / weights[user]
+            liked[user] = weight / (strength[user] if strength[user] > 0 else 1.0)
+    return liked
