@@ -39,11 +39,12 @@ def panel_elements(centre: Array, heading: Array, rows: int, cols: int, spacing_
     `centre` [..., 3] [m] is the panel's middle and `heading` [...] [rad] the horizontal direction that it faces.
     """
     xp = array_namespace(centre, heading)
-    up = xp.asarray([0.0, 0.0, 1.0], dtype=centre.dtype, device=device(centre))
-    along_row = panel_normal(heading + math.pi / 2)
-    middles = uniform_linear_array(centre, up, rows, spacing_m)
-    elements = uniform_linear_array(middles, along_row[..., None, :], cols, spacing_m)
-    return xp.reshape(elements, (*elements.shape[:-3], rows * cols, 3))
+    element = xp.arange(rows * cols, dtype=centre.dtype, device=device(centre))
+    along_row = spacing_m * (element % cols - (cols - 1) / 2)
+    heading = heading[..., None]
+    x, y = -xp.sin(heading) * along_row, xp.cos(heading) * along_row
+    z = xp.broadcast_to(spacing_m * (element // cols - (rows - 1) / 2), x.shape)
+    return centre[..., None, :] + xp.stack([x, y, z], axis=-1)
 
 
 def element_gain(pattern: str, exponent: float, normal: Array, direction: Array) -> Array:
