@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from mjris.config import Config, ConfigError, preset
 from mjris.parallel import SpreadTask, info_columns, infos_of
-from mjris.simulator import CellId
+from mjris.streams import CellId
 from mjris.task import Task
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.simulator import CellId, Slot
+from mjris.simulator import Slot
+from mjris.streams import CellId
 from mjris.task import Task
 
 

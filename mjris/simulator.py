@@ -1,6 +1,5 @@
 """The simulator: E cells stepped together once a slot, from motion over sight and channels to rates."""
 
-import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from mjris.compiled import compiled
 from mjris.config import Config
 from mjris.constraints import Constraints, evaluate
 from mjris.radio import access, channel, propagation, serving
+from mjris.streams import CellId, Streams
 from mjris.world.layout import load_layout
 from mjris.world.world import World
 
@@ -74,26 +74,6 @@ class Slot:
     scene: Scene
 
 
-class CellId(NamedTuple):
-    """What all that is random in a cell follows from."""
-
-    seed: int
-    """The run's seed, for the furniture; other streams may be seeded anew."""
-    number: int
-    """Counted from 0 in the run."""
-
-
-class _Streams(NamedTuple):
-    """Random generators of one cell."""
-
-    own: np.random.Generator
-    """Places, steps and fading of this cell."""
-    shared: np.random.Generator
-    """The one that a run's cells share, or a copy of it where cells are not at the same place of their episodes."""
-    phases: np.random.Generator
-    """Random phases: a stream of their own, so that they leave the rest of the scene as it is."""
-
-
 class Simulator:
     """E cells of one config; a number stands for the first ones of a run with the config's seed.
 
@@ -104,8 +84,8 @@ class Simulator:
         self.config = config
         self.cells = [CellId(config.seed, e) for e in range(cells)] if isinstance(cells, int) else list(cells)
         num_cells = self.num_cells = len(self.cells)
-        furniture = [np.random.default_rng([cell.seed, cell.number, 1]) for cell in self.cells]
-        self.world = World(config, load_layout(config.world.layout), furniture)
+        self._streams = Streams(self.cells)
+        self.world = World(config, load_layout(config.world.layout), self._streams.furniture())
         radio = config.radio
         k, m, n = config.world.num_users, radio.num_antennas, radio.num_elements
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
@@ -126,31 +106,19 @@ class Simulator:
         self._fresh = np.ones(num_cells, np.bool_)
         self.resets, self.slots = 0, 0
         """How often cells began an episode, and the slots since."""
-        self._streams: list[_Streams] = []
-        self.seed([cell.seed for cell in self.cells])
         self.scene: Scene
         self.reset()
 
     def seed(self, seed: int | Sequence[int]) -> None:
         """Restart the random streams of all cells, with one seed for all or one each; equal seeds share a stream."""
-        seeds = [seed] * self.num_cells if isinstance(seed, int) else seed
-        shared = {seed: np.random.default_rng(seed) for seed in seeds}
-        self._streams = [
-            _Streams(
-                own=np.random.default_rng([seed, cell.number, 0]),
-                shared=shared[seed],
-                phases=np.random.default_rng([seed, cell.number, 2]),
-            )
-            for seed, cell in zip(seeds, self.cells, strict=True)
-        ]
+        self._streams.seed([seed] * self.num_cells if isinstance(seed, int) else seed)
 
     def reset(self, cells: IntArray | None = None) -> Scene:
         """Begin an episode in some cells, all by default."""
         cells = np.arange(self.num_cells) if cells is None else np.asarray(cells)
         if len(cells) < self.num_cells:
-            for e in cells:
-                self._streams[e] = self._streams[e]._replace(shared=copy.deepcopy(self._streams[e].shared))
-        self.world.place(cells, [self._streams[e].own for e in cells])
+            self._streams.part(cells)
+        self.world.place(cells, self._streams.own(cells))
         self._diffuse[cells] = self._draw_diffuse(cells)
         self._fresh[cells] = True
         self.resets, self.slots = self.resets + 1, 0
@@ -158,8 +126,7 @@ class Simulator:
 
     def random_phases(self) -> FloatArray:
         """Uniform phases from each cell's stream for them [E, N] [rad]."""
-        n = self.config.radio.num_elements
-        return np.stack([streams.phases.uniform(-np.pi, np.pi, n) for streams in self._streams])
+        return self._streams.phases(self.config.radio.num_elements)
 
     def step(
         self,
@@ -176,8 +143,8 @@ class Simulator:
         if self.config.task.reward == "gain":
             _, bare = self.reference_powers(self.scene.channels.direct)
         before = self.world.fleet.xy
-        walk, direction = self._draw_steps()
-        motion = self.world.move(displacement_m, walk, direction)
+        steps = self._streams.steps(self.config.world.num_users, self.config.world.walk_scale_m)
+        motion = self.world.move(displacement_m, *steps)
         self._face_panels(pan_rad)
         if self.config.radio.fading_memory < 1:
             fresh = self._draw_diffuse(np.arange(self.num_cells))
@@ -301,23 +268,8 @@ class Simulator:
         return channel.Channels(direct.reshape(-1, k, m), incident.reshape(-1, n, m), reflected.reshape(-1, k, n))
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:
-        """Fresh diffuse fading of some cells [n, ...], correlated between cells by the difference factor."""
-        factor = self.config.radio.difference_factor
-        size = self._diffuse.shape[1:]
-        sources = {id(self._streams[e].shared): self._streams[e].shared for e in cells}
-        drawn = {key: propagation.complex_normal(source, size) for key, source in sources.items()}
-        shared = np.stack([drawn[id(self._streams[e].shared)] for e in cells])
-        if factor == 0:
-            return shared
-        own = np.stack([propagation.complex_normal(self._streams[e].own, size) for e in cells])
-        return propagation.mix_cells(shared, own, factor)
-
-    def _draw_steps(self) -> tuple[FloatArray, FloatArray]:
-        """Everyone's distance [E, K] [m] and direction [E, K] [rad]."""
-        uniform = np.stack([streams.own.random((2, self.config.world.num_users)) for streams in self._streams])
-        # Inverse transform of the Rayleigh distribution.
-        distance = self.config.world.walk_scale_m * np.sqrt(-2 * np.log1p(-uniform[:, 0]))
-        return distance, 2 * np.pi * uniform[:, 1]
+        """Fresh diffuse fading of some cells [n, ...]."""
+        return self._streams.diffuse(cells, self._diffuse.shape[1], self.config.radio.difference_factor)
 
 
 @compiled

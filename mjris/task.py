@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from mjris.config import Config
 from mjris.radio import control
 from mjris.radiomap import bare_values, best_goals, penalised, place_values
-from mjris.simulator import CellId, Controls, Simulator, Slot
+from mjris.simulator import Controls, Simulator, Slot
+from mjris.streams import CellId
 
 FloatArray = NDArray[np.floating]
 

@@ -1,4 +1,4 @@
-"""What a cell costs as there are more of them: simulating and training, time and memory. Writes docs/scaling.csv and .png.
+"""What a cell costs as there are more of them: simulating and training, time and memory; docs/scaling.csv and .png.
 
 python scripts/scaling.py [--repeats R] [--most CELLS] [--out FOLDER]
 """

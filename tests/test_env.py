@@ -15,7 +15,7 @@ from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv, OfficeVecEnv
 from mjris.radio import serving
 from mjris.radiomap import bare_values, best_goals, place_values
-from mjris.simulator import CellId
+from mjris.streams import CellId
 from mjris.task import Task
 
 INFO = {"rates_bps", "sum_rate_bps", "qos_met", "blockers", "clearance_m", "collisions", "constraints"}

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, World
-from mjris.simulator import CellId, Simulator
+from mjris.simulator import Simulator
+from mjris.streams import CellId
 from mjris.world.jitter import jittered
 from mjris.world.layout import check_layout, layout_names, load_layout
 

@@ -33,7 +33,7 @@ from mjris.learn.federation import (
 )
 from mjris.learn.replay import ReplayMemory
 from mjris.learn.stack import Lanes, num_lanes
-from mjris.simulator import CellId
+from mjris.streams import CellId
 
 FloatArray = NDArray[np.floating]
 Results = Sequence[tuple[State, list[EpisodeMetrics]]]

@@ -17,7 +17,8 @@ from mjris.eval.floormap import FloorMap, floor_map
 from mjris.eval.policies import Act, agent_policies
 from mjris.show.maps import draw_furniture
 from mjris.show.palette import user_colour
-from mjris.simulator import CellId, Simulator
+from mjris.simulator import Simulator
+from mjris.streams import CellId
 from mjris.task import Task
 from mjris.world.office import Office
 from mjris.world.world import World
