@@ -199,7 +199,7 @@ def draw(experiment: Experiment, table: pd.DataFrame, path: Path) -> None:
 
     from mjris.show.palette import STOPS
 
-    figure = Figure(figsize=(5.4, 3.4), layout="constrained")
+    figure = Figure(figsize=(5.4, 3.8), layout="constrained")
     axes = figure.add_subplot()
     for style, name in zip(("-", "--", "-.", ":"), RIVALS, strict=True):
         value = table.loc[table.policy == name, "penalised_mbps"].item()
@@ -209,7 +209,7 @@ def draw(experiment: Experiment, table: pd.DataFrame, path: Path) -> None:
     axes.plot(learned.index, learned, color=STOPS, linewidth=0.5, alpha=0.6)
     axes.plot(learned.index, learned.mean(axis=1), color=STOPS, linewidth=2, marker="o", label="learned, mean of seeds")
     axes.set(xlabel="episodes of training", ylabel="sum rate with QoS penalty [Mb/s]", title=experiment.name)
-    axes.legend(fontsize="small")
+    figure.legend(loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     figure.savefig(path, dpi=150)
 
 
