@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mjris.compiled import compiled
 from mjris.config import Config
 from mjris.constraints import Constraints, evaluate
-from mjris.radio import access, channel, propagation, serving
+from mjris.radio import access, channel, links, propagation, serving
 from mjris.streams import CellId, Streams
 from mjris.world.layout import load_layout
 from mjris.world.world import World
@@ -100,8 +100,6 @@ class Simulator:
         self._own_person = np.array([*range(k), *range(k), -1])
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
         """Of h_d, G and h_r, [E, K M + N M + K N]."""
-        users = np.arange(k)
-        self._link_of_entry = np.concatenate([users.repeat(m), np.full(n * m, 2 * k), k + users.repeat(n)])
         self._order = np.zeros((num_cells, *self.clusters.shape), np.int64)
         self._fresh = np.ones(num_cells, np.bool_)
         self.resets, self.slots = 0, 0
@@ -226,13 +224,12 @@ class Simulator:
         """Sight, path losses and channels at the present positions."""
         radio, world = self.config.radio, self.world
         panel, receivers = world.panel_centre(), world.receivers()
-        k = receivers.shape[1]
-        start = np.concatenate([receivers, receivers, panel[:, None]], 1)
-        end = np.concatenate(
-            [np.repeat(self.ap_position[:, None], k, 1), np.repeat(panel[:, None], k, 1), self.ap_position[:, None]], 1
-        )
+        aps, panels = (np.broadcast_to(place[:, None], receivers.shape) for place in (self.ap_position, panel))
+        start = np.concatenate([receivers, receivers, self.ap_position[:, None]], 1)
+        end = np.concatenate([aps, panels, panel[:, None]], 1)
         blockers = world.sight.blockers(start, end, self._own_person)
-        distance = np.linalg.norm(end - start, axis=-1)
+        way = start - end
+        distance = np.sqrt(np.vecdot(way, way))
         loss_db = propagation.path_loss_db(distance, blockers, radio.carrier_hz)
         heading = world.fleet.panel_heading
         return Scene(
@@ -242,30 +239,27 @@ class Simulator:
             users_xy=receivers[..., :2],
             blockers=blockers,
             path_loss_db=loss_db,
-            channels=self._channels(panel, heading, receivers, blockers, loss_db),
+            channels=links.channels(
+                self._antennas,
+                receivers,
+                channel.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m),
+                self._amplitudes(loss_db, way, distance, heading),
+                np.where(blockers > 0, 0.0, propagation.db_to_linear(radio.rician_k_db)),
+                self._diffuse,
+                radio.wavelength_m,
+            ),
         )
 
-    def _channels(
-        self, panel: FloatArray, heading: FloatArray, receivers: FloatArray, blockers: IntArray, loss_db: FloatArray
-    ) -> channel.Channels:
-        """Channels [E, ...] from geometry, path loss, element patterns and fading."""
-        radio = self.config.radio
-        k, m, n = receivers.shape[1], radio.num_antennas, radio.num_elements
-        elements = channel.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m)
-        normal = channel.panel_normal(heading)
-        ends = np.concatenate([receivers - panel[:, None], (self.ap_position - panel)[:, None]], 1)
-        gain = channel.element_gain(radio.element_pattern, radio.element_exponent, normal[:, None], ends)
-        amplitude = np.sqrt(propagation.db_to_linear(-loss_db))
-        amplitude[:, k:] *= np.sqrt(gain)
-        k_factor = np.where(blockers > 0, 0.0, propagation.db_to_linear(radio.rician_k_db))
-        # Entries of all three channels side by side, as in `_diffuse`: they fade in one go.
-        ends = (receivers, self._antennas), (elements, self._antennas), (receivers, elements)
-        ramps = [channel.phase_ramp(*pair, radio.wavelength_m).reshape(self.num_cells, -1) for pair in ends]
-        faded = propagation.rician(np.concatenate(ramps, 1), self._diffuse, k_factor[:, self._link_of_entry])
-        direct, incident, reflected = np.split(
-            amplitude[:, self._link_of_entry] * faded, [k * m, k * m + n * m], axis=1
-        )
-        return channel.Channels(direct.reshape(-1, k, m), incident.reshape(-1, n, m), reflected.reshape(-1, k, n))
+    def _amplitudes(
+        self, loss_db: FloatArray, way: FloatArray, distance: FloatArray, heading: FloatArray
+    ) -> FloatArray:
+        """Amplitudes of all links [E, 2K + 1], element patterns included, for ways that end at the panel or the AP."""
+        radio, seen = self.config.radio, slice(self.config.world.num_users, None)
+        forward = np.cos(heading)[:, None] * way[:, seen, 0] + np.sin(heading)[:, None] * way[:, seen, 1]
+        cosine = forward / np.maximum(distance[:, seen], 1e-12)
+        gain = propagation.db_to_linear(-loss_db)
+        gain[:, seen] *= channel.pattern_gain(radio.element_pattern, radio.element_exponent, cosine)
+        return np.sqrt(gain)
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:
         """Fresh diffuse fading of some cells [n, ...]."""

@@ -96,11 +96,10 @@ class Task:
         """
         action = np.clip(np.asarray(action, np.float64), -1, 1)
         phases_end = 2 + self._num_phases
-        ends = [2, phases_end, phases_end + self.config.world.num_users]
-        move, phases, powers, pan = np.split(action, ends, axis=-1)
-        phases_rad = self._phases(phases)
-        pan_rad = np.pi * pan[:, 0] if self._pans else None
-        return Controls(self._displacement(move), phases_rad, self._powers(powers, phases_rad), pan_rad)
+        phases_rad = self._phases(action[:, 2:phases_end])
+        powers = action[:, phases_end : phases_end + self.config.world.num_users]
+        pan_rad = np.pi * action[:, -1] if self._pans else None
+        return Controls(self._displacement(action[:, :2]), phases_rad, self._powers(powers, phases_rad), pan_rad)
 
     def observe(self) -> NDArray[np.float32]:
         """Observations of the present scene [E, D], every entry of order one."""
