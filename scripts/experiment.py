@@ -6,7 +6,6 @@ NAME.csv and NAME.png go beside the file. Finished runs and judgements are kept 
 interrupted or extended experiment goes on where it was. Prints what docs/learning.md shows, as Markdown.
 """
 
-import json
 import subprocess
 import sys
 import tomllib
@@ -21,20 +20,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import tyro
+from judging import RIVALS, agent_scores, rival_scores, train
 from reference_table import markdown_table, number
-from rich.progress import Progress
 
 from mjris.config import Config, ConfigError, from_dict, preset
-from mjris.eval.evaluate import gain_percent, play
-from mjris.eval.policies import Policy, agent_policies, no_ris, planner, reference_controls
-from mjris.learn.federation import EpisodeMetrics
-from mjris.learn.policy import load_policy
-from mjris.learn.study import run_folder, train_missing
+from mjris.learn.study import run_folder
 from mjris.show.curves import student_interval
-
-RIVALS = ("planner", "closed forms", "fixed RIS", "no RIS")
-"""What agents are held against: the planner with the best phases and powers known, action zero, action zero without
-driving, and the best powers known without RIS."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,15 +64,7 @@ def main(study: Study) -> None:
     """Train, judge, write."""
     experiments = [read(path) for path in study.files]
     configs = [config for experiment in experiments for config in experiment.configs]
-    with Progress() as progress:
-        bar = progress.add_task("training")
-
-        def report(stack: int, stacks: int, metrics: list[EpisodeMetrics]) -> None:
-            rate = np.mean([row.sum_rate_mbps for row in metrics])
-            description = f"stack {stack} of {stacks}: episode {metrics[-1].episode}, {rate:.3f} Mb/s"
-            progress.update(bar, completed=metrics[-1].episode, total=None, description=description)
-
-        train_missing(configs, study.runs, report=report)
+    train(configs, study.runs)
     context = get_context("spawn")
     for path, experiment in zip(study.files, experiments, strict=True):
         with ProcessPoolExecutor(mp_context=context) as pool:
@@ -122,10 +105,10 @@ def judge(experiment: Experiment, study: Study, each: Any) -> pd.DataFrame:
         for episode in experiment.judged
         for cell in range(cells)
     ]
-    score = partial(scores, scenes=study.scenes, seed=study.scene_seed)
-    rows = each(score, [(study.runs / "rivals", config, name) for name in RIVALS])
+    scenes = {"scenes": study.scenes, "seed": study.scene_seed}
+    rows = each(partial(rival_scores, config, folder=study.runs, **scenes), RIVALS)
     rivals = [{"policy": name} | row for name, row in zip(RIVALS, rows, strict=True)]
-    rows = each(score, [(run, config, (episode, cell)) for run, episode, cell in agents])
+    rows = each(partial(agent_scores, **scenes), *zip(*agents, strict=True))
     judged = [
         {"policy": "learned", "seed": int(seed), "cell": cell, "episode": episode} | row
         for (_, episode, cell), seed, row in zip(
@@ -136,42 +119,6 @@ def judge(experiment: Experiment, study: Study, each: Any) -> pd.DataFrame:
     for column in ("sum_rate_mbps", "penalised_mbps"):
         table[f"{column.split('_')[0]}_percent_of_planner"] = 100 * table[column] / table[column].iloc[0]
     return table
-
-
-def scores(job: tuple[Path, Config, Any], scenes: int, seed: int) -> dict[str, float]:
-    """How one policy does: a rival by its name, or the agent of an (episode, cell) of a run; kept in a file."""
-    folder, config, who = job
-    # Rivals depend on neither agents nor training.
-    plain = replace(config, agent=preset("office").agent, federation=preset("office").federation, seed=0)
-    key = run_folder(plain, Path()).name if isinstance(who, str) else "learned"
-    name = who.replace(" ", "_") if isinstance(who, str) else "episode_{:04d}_cell_{}".format(*who)
-    path = folder / "judged" / f"{key}_{name}_{scenes}_{seed}.json"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        played = play(config, policy(folder, config, who, seed), scenes, seed)
-        row = {
-            "sum_rate_mbps": played.sum_rate_bps.mean() / 1e6,
-            "penalised_mbps": played.value_bps.mean() / 1e6,
-            "qos_percent": 100 * played.qos_share.mean(),
-            "gain_percent": float(gain_percent(played.sum_rate_bps.mean(), played.bare_bps.mean())),
-            "collisions": played.collisions,
-            "clearance_m": played.clearance_m,
-        }
-        path.write_text(json.dumps(row))
-    return json.loads(path.read_text())
-
-
-def policy(folder: Path, config: Config, who: Any, seed: int) -> Policy:
-    """What is to be judged."""
-    if isinstance(who, str):
-        closed = reference_controls()
-        still = replace(closed, changes={**closed.changes, "ris": "fixed"})
-        rivals: dict[str, Policy] = dict(zip(RIVALS, (planner(seed), closed, still, no_ris()), strict=True))
-        return rivals[who]
-    episode, cell = who
-    agent = load_policy(folder, cell, round_=-(-episode // config.federation.round_episodes))
-    learned = agent_policies(lambda observation: agent.predict(observation, deterministic=True)[0])[0]
-    return replace(learned, changes={})  # as it was trained
 
 
 def markdown(table: pd.DataFrame) -> str:

@@ -60,8 +60,8 @@ def test_an_experiment_is_trained_judged_and_drawn_once(tmp_path: Path, monkeypa
     def never(*_: object) -> None:
         raise AssertionError("everything was finished")
 
-    monkeypatch.setattr(experiment, "play", never)
-    monkeypatch.setattr("mjris.learn.study.train_many", never)
+    monkeypatch.setattr("judging.play", never)
+    monkeypatch.setattr("mjris.learn.study._train_stack", never)
     experiment.main(study)
     pd.testing.assert_frame_equal(pd.read_csv(path.with_suffix(".csv")), table)
 

@@ -157,12 +157,10 @@ def test_lanes_give_the_numbers_of_one_stack(network: str):
 
 
 @pytest.mark.parametrize(("agents", "lanes"), [(1, 1), (2, 1), (3, 2), (4, 2), (16, 4)])
-def test_lanes_are_for_the_cores_and_have_two_agents_or_more(monkeypatch: pytest.MonkeyPatch, agents: int, lanes: int):
-    monkeypatch.setattr("mjris.learn.stack._CORES", 8)
-    assert num_lanes(agents) == lanes
-    assert num_lanes(agents, "cuda") == 1
-    monkeypatch.setattr("mjris.learn.stack._CORES", 1)
-    assert num_lanes(agents) == 1
+def test_lanes_are_for_the_cores_and_have_two_agents_or_more(agents: int, lanes: int):
+    assert num_lanes(agents, "cpu", 8) == lanes
+    assert num_lanes(agents, "cuda", 8) == 1
+    assert num_lanes(agents, "cpu", 1) == 1
 
 
 def test_what_has_no_stacked_form_is_refused():

@@ -3,42 +3,67 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from toy import ToyEnv, toy_config
+from toy import BrokenToyEnv, ToyEnv, toy_config
 
+from mjris.config import Config, preset
 from mjris.learn.policy import load_policy
-from mjris.learn.study import run_folder, train_missing
+from mjris.learn.study import _stacks, run_folder, train_missing
 
 
-def silent(*_: object) -> None:
+def silent(done: int, total: int) -> None:
     """Report nothing."""
 
 
 def test_only_what_is_missing_is_trained(tmp_path: Path):
     configs = [toy_config(seed=seed) for seed in (3, 4)]
-    rounds = []
-    first = train_missing(configs[:1], tmp_path, report=lambda *args: rounds.append(args[:2]), make_env=ToyEnv)
-    assert rounds == [(1, 1)] * 3
+    heard = []
+
+    def report(done: int, total: int) -> None:
+        heard.append((done, total))
+
+    first = train_missing(configs[:1], tmp_path, report=report, make_env=ToyEnv)
+    assert heard[-1] == (10, 10)  # two cells, five episodes
     written = (first[0] / "metrics.csv").stat().st_mtime_ns
     other = replace(configs[0], agent=replace(configs[0].agent, learning_rate=1e-2))
-    rounds.clear()
-    both = train_missing([*configs, other], tmp_path, report=lambda *args: rounds.append(args[:2]), make_env=ToyEnv)
-    assert rounds == [(1, 2)] * 3 + [(2, 2)] * 3
-    assert both[0] == first[0] == run_folder(configs[0], tmp_path)
-    assert (both[0] / "metrics.csv").stat().st_mtime_ns == written
-    assert len(set(both)) == 3
-    for config, run in zip([*configs, other], both, strict=True):
+    heard.clear()
+    everything = train_missing([*configs, other], tmp_path, report=report, make_env=ToyEnv)
+    assert heard[-1] == (20, 20)
+    assert everything[0] == first[0] == run_folder(configs[0], tmp_path)
+    assert (everything[0] / "metrics.csv").stat().st_mtime_ns == written
+    assert len(set(everything)) == 3
+    for config, run in zip([*configs, other], everything, strict=True):
         assert (run / "config.json").read_text() == config.to_json()
         assert load_policy(run, make_env=ToyEnv).learning_rate == config.agent.learning_rate
         assert len(pd.read_csv(run / "metrics.csv")) == 10
-    assert sorted(tmp_path.iterdir()) == sorted(both)
+    assert sorted(tmp_path.iterdir()) == sorted(everything)
 
 
-def test_an_interrupted_stack_leaves_no_runs_and_starts_again(tmp_path: Path):
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train_missing([toy_config()], tmp_path, report=interrupt, make_env=ToyEnv)
+def test_a_stack_that_fails_leaves_no_runs(tmp_path: Path):
+    with pytest.raises(ArithmeticError, match="gave way"):
+        train_missing([toy_config()], tmp_path, report=silent, make_env=BrokenToyEnv)
     assert not list(tmp_path.iterdir())
     (run,) = train_missing([toy_config()], tmp_path, report=silent, make_env=ToyEnv)
     assert len(pd.read_csv(run / "metrics.csv")) == 10
+
+
+def with_seed(config: Config, seed: int, **radio: object) -> Config:
+    return replace(config, seed=seed, radio=replace(config.radio, **radio))
+
+
+def test_stacks_hold_like_runs_and_busy_all_cores():
+    base = replace(preset("office"), federation=replace(preset("office").federation, num_cells=3))
+    runs = [with_seed(base, seed) for seed in range(5)]
+    assert _stacks(runs, 1) == [runs]
+    assert sorted(len(stack) for stack in _stacks(runs, 2)) == [2, 3]
+    powers = [with_seed(base, seed, tx_power_dbm=30.0) for seed in range(5)]
+    # 30 agents, at most 20 a stack.
+    assert sorted(len(stack) for stack in _stacks([*runs, *powers], 1)) == [5, 5]
+    wide = [with_seed(base, seed, panel_cols=8) for seed in range(5)]
+    mixed = _stacks([*runs, *wide], 1)
+    assert mixed == [runs, wide]
+    everything = [*runs, *powers, *wide]
+    assert {config for stack in _stacks(everything, 2) for config in stack} == set(everything)
+
+
+def test_nothing_missing_is_nothing_to_do(tmp_path: Path):
+    assert train_missing([], tmp_path, report=silent) == []

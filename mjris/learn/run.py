@@ -10,6 +10,7 @@ from pathlib import Path
 from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
+from mjris.learn.stack import CORES
 from mjris.learn.stacked import Results, StackedRuns
 from mjris.learn.workers import check_device, open_cells
 
@@ -45,18 +46,24 @@ def train(
 
 
 def train_many(
-    configs: Sequence[Config], outs: Sequence[Path], *, report: Report = _silent, make_env: EnvFactory = OfficeEnv
+    configs: Sequence[Config],
+    outs: Sequence[Path],
+    *,
+    report: Report = _silent,
+    make_env: EnvFactory = OfficeEnv,
+    cores: int = CORES,
 ) -> None:
     """`train` several runs as one stack, whatever their `federation.backend`; agents are averaged within their run.
 
-    `report` gets the episodes of all runs. Raises `ConfigError` also where the configs differ in what a stack must
-    have in common, see `StackedRuns`.
+    `report` gets the episodes of all runs; no more than `cores` are used. Raises `ConfigError` also where the configs
+    differ in what a stack must have in common, see `StackedRuns`.
     """
     if len(set(outs)) < len(configs):
         raise ConfigError(f"out: {len(configs)} runs need a folder each")
     for out in outs:
         _check_new(out)
-    with closing(StackedRuns(configs, make_env, [out / "tensorboard" for out in outs])) as runs:
+    log_dirs = [out / "tensorboard" for out in outs]
+    with closing(StackedRuns(configs, make_env, log_dirs, cores=cores)) as runs:
         for config, out in zip(configs, outs, strict=True):
             _begin_folder(config, out)
         merged: list[State | None] = [None] * len(configs)

@@ -13,7 +13,8 @@ from mjris.learn.agent import CautiousCritic
 from mjris.learn.layers import StackedNetwork, stack_networks
 from mjris.learn.replay import Batch
 
-_CORES = torch.get_num_threads()  # as the machine or OMP_NUM_THREADS says, before anyone sets it
+CORES = torch.get_num_threads()
+"""As the machine or OMP_NUM_THREADS says, before anyone sets it."""
 _MOST_LANES = 4  # lanes share one interpreter
 
 # The networks of an agent that `State` holds, and how each names its sequences of layers.
@@ -167,9 +168,9 @@ class Lanes:
         self._threads.shutdown()
 
 
-def num_lanes(agents: int, device: str = "cpu") -> int:
-    """One lane for each core that torch may use, but two agents or more in each; one lane on other devices."""
-    return min(_CORES, -(-agents // 2), _MOST_LANES) if device == "cpu" else 1
+def num_lanes(agents: int, device: str, cores: int) -> int:
+    """One lane for each core, but two agents or more in each; one lane on other devices."""
+    return min(cores, -(-agents // 2), _MOST_LANES) if device == "cpu" else 1
 
 
 def _turned(tensor: Tensor) -> Tensor:

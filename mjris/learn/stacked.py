@@ -1,7 +1,6 @@
 """All cells of one or several runs learning in lockstep in this process, as one stack of agents."""
 
 import copy
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -32,7 +31,7 @@ from mjris.learn.federation import (
     record_episode,
 )
 from mjris.learn.replay import ReplayMemory
-from mjris.learn.stack import Lanes, num_lanes
+from mjris.learn.stack import CORES, Lanes, num_lanes
 from mjris.streams import CellId
 
 FloatArray = NDArray[np.floating]
@@ -65,7 +64,8 @@ class StackedCells:
 class StackedRuns:
     """The cells of G runs of U cells each as one stack of G·U agents.
 
-    Runs that differ in nothing but the seed are simulated together, in as many processes as `federation.workers` says.
+    Runs that differ in nothing but the seed are simulated together, in as many processes as `federation.workers` says
+    and as there are `cores`.
     The configs may differ in whatever leaves the agents, the number of cells and the slots alike: in their seeds, for
     one. Every agent draws from the same generators as a `Cell` does, so that its numbers are those of a `Cell` but for
     rounding. With log directories, cell u of run g logs to cell_u in that of the run. Raises `ConfigError` where
@@ -78,6 +78,7 @@ class StackedRuns:
         make_env: EnvFactory,
         log_dirs: Sequence[Path | None],
         device: str = "cpu",
+        cores: int = CORES,
     ):
         torch.set_num_threads(1)  # the cores are for the lanes
         self._configs, self._make_env = configs, make_env
@@ -87,7 +88,7 @@ class StackedRuns:
         self._members = [member for group in groups for member in group]
         self._envs: list[OfficeVecEnv | _SingleEnvs] = []
         for group in groups:
-            self._envs.append(_side_by_side([(configs[g], u) for g, u in group], make_env))
+            self._envs.append(_side_by_side([(configs[g], u) for g, u in group], make_env, cores))
             _check_same_spaces(self._envs)
         ends = np.cumsum([len(group) for group in groups]).tolist()
         self._slices = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
@@ -99,7 +100,7 @@ class StackedRuns:
             if (log_dir := log_dirs[g]) is not None:
                 agent.set_logger(configure(str(log_dir / f"cell_{u}"), ["tensorboard"]))
         self._policy = self._agents[0].policy
-        self._learner = Lanes(self._agents, device, num_lanes(len(self._agents), device))
+        self._learner = Lanes(self._agents, device, num_lanes(len(self._agents), device, cores))
         self._memory = ReplayMemory(self._agents, self._config.federation.episodes * self._config.task.slots, device)
         self._slots = 0
         self._updates = 0
@@ -257,11 +258,11 @@ def _alike(configs: Sequence[Config], num_cells: int) -> list[list[tuple[int, in
     return list(groups.values())
 
 
-def _side_by_side(cells: Sequence[tuple[Config, int]], make_env: EnvFactory) -> OfficeVecEnv | _SingleEnvs:
+def _side_by_side(cells: Sequence[tuple[Config, int]], make_env: EnvFactory, cores: int) -> OfficeVecEnv | _SingleEnvs:
     """Cells of like configs, each with its number: stepped together where they are offices."""
     if make_env is OfficeEnv:
         config = cells[0][0]
-        processes = min(config.federation.workers or os.cpu_count() or 1, max(1, len(cells) // _CELLS_A_PROCESS))
+        processes = min(config.federation.workers or cores, cores, max(1, len(cells) // _CELLS_A_PROCESS))
         return OfficeVecEnv([CellId(config.seed, u) for config, u in cells], config, processes)
     return _SingleEnvs([partial(make_env, config, u) for config, u in cells])
 
