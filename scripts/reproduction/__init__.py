@@ -1,0 +1,1 @@
+"""The paper's figures from trained agents, with intervals, and its claims beside what is measured."""

@@ -1,0 +1,207 @@
+"""What is trained for each figure: the curves, their configs, and how much of everything at each scale."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mjris.config import Config, preset
+
+PRESETS = ("office", "paper")
+SCHEMES = ("noma", "oma")
+BASE = "mobile RIS"
+"""The curve of a preset as it is, for one cell: NOMA, dynamic order, 16 elements, 4 antennas, 20 dBm, α = 3e-4."""
+PANELS = {4: (2, 2), 8: (2, 4), 16: (4, 4), 32: (4, 8)}
+"""Rows and columns of a panel by its number of elements."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """How much is trained and judged."""
+
+    seeds: tuple[int, ...]
+    scenes: int
+    """Held-out scenes."""
+    slots: int
+    """Slots of an episode."""
+    every: int
+    """One of so many slots is searched for the best phases and powers, and bounded."""
+    episodes: Mapping[str, int]
+    """Of a cell alone, by preset."""
+    federated: Mapping[str, int]
+    """Of the cells of a federation, and of those that are compared with them, by preset."""
+    rounds: Mapping[str, int]
+    """Episodes of a round, by preset."""
+    learning_rates: tuple[float, ...]
+    elements: tuple[int, ...]
+    powers_dbm: tuple[float, ...]
+    differences: tuple[float, ...]
+    """Difference factors."""
+
+
+SCALES = {
+    "quick": Scale(
+        seeds=(1, 2),
+        scenes=8,
+        slots=100,
+        every=10,
+        episodes={"office": 10, "paper": 10},
+        federated={"office": 15, "paper": 15},
+        rounds={"office": 5, "paper": 5},
+        learning_rates=(1e-3, 3e-4, 1e-4),
+        elements=(4, 8, 16, 32),
+        powers_dbm=(10.0, 20.0, 30.0),
+        differences=(0.0, 0.5, 1.0),
+    ),
+    "full": Scale(
+        seeds=(1, 2, 3, 4, 5),
+        scenes=32,
+        slots=100,
+        every=5,
+        episodes={"office": 40, "paper": 60},
+        federated={"office": 60, "paper": 100},
+        rounds={"office": 10, "paper": 20},
+        learning_rates=(1e-3, 5e-4, 3e-4, 1e-4, 1e-5),
+        elements=(4, 8, 16, 32),
+        powers_dbm=(10.0, 15.0, 20.0, 25.0, 30.0),
+        differences=(0.0, 0.5, 1.0),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """One line of a figure, or one point of a line over x."""
+
+    figure: str
+    preset: str
+    name: str
+    scheme: str
+    config: Config
+    """With the seed 0."""
+    x: float | None = None
+    """Where the point is; None is a line over the episodes."""
+
+    def episodes(self) -> list[int]:
+        """The episodes after which the agents are judged."""
+        federation = self.config.federation
+        if self.x is not None:
+            return [federation.episodes]
+        ends = range(federation.round_episodes, federation.episodes, federation.round_episodes)
+        return [*ends, federation.episodes]
+
+
+def base(name: str, scale: Scale, *, cells: int = 1, **changes: Mapping[str, Any]) -> Config:
+    """The preset for one cell, or for a federation of several, with some fields of its sections changed."""
+    config = preset(name)
+    federation = replace(
+        config.federation,
+        num_cells=cells,
+        episodes=(scale.episodes if cells == 1 else scale.federated)[name],
+        round_episodes=scale.rounds[name],
+    )
+    config = replace(config, task=replace(config.task, slots=scale.slots), federation=federation)
+    return replace(config, **{key: replace(getattr(config, key), **fields) for key, fields in changes.items()})
+
+
+def learning_rate(name: str, scale: Scale) -> list[Curve]:
+    """Throughput over episodes for several learning rates."""
+    return [
+        Curve(
+            figure="learning_rate",
+            preset=name,
+            name=f"α = {rate:g}",
+            scheme=scheme,
+            config=base(name, scale, agent={"learning_rate": rate}, radio={"scheme": scheme}),
+        )
+        for rate in scale.learning_rates
+        for scheme in SCHEMES
+    ]
+
+
+def elements(name: str, scale: Scale) -> list[Curve]:
+    """Sum rate over the number of reflecting elements."""
+    return [
+        Curve(
+            figure="elements",
+            preset=name,
+            name=BASE,
+            scheme=scheme,
+            x=number,
+            config=base(
+                name,
+                scale,
+                radio={"panel_rows": PANELS[number][0], "panel_cols": PANELS[number][1], "scheme": scheme},
+            ),
+        )
+        for number in scale.elements
+        for scheme in SCHEMES
+    ]
+
+
+def power(name: str, scale: Scale) -> list[Curve]:
+    """Sum rate over the AP's power, for two and four antennas."""
+    return [
+        Curve(
+            figure="power",
+            preset=name,
+            name=f"M = {antennas}",
+            scheme=scheme,
+            x=power_dbm,
+            config=base(name, scale, radio={"num_antennas": antennas, "tx_power_dbm": power_dbm, "scheme": scheme}),
+        )
+        for antennas in (4, 2)
+        for power_dbm in scale.powers_dbm
+        for scheme in SCHEMES
+    ]
+
+
+def gain(name: str, scale: Scale) -> list[Curve]:
+    """Throughput over episodes with each component taken away: every agent learns with what it is judged with."""
+    cases: dict[str, dict[str, dict[str, str]]] = {
+        BASE: {},
+        "static order": {"radio": {"decoding_order": "static"}},
+        "fixed RIS": {"task": {"ris": "fixed"}},
+        "random phases": {"task": {"phases": "random"}},
+        "no RIS": {"task": {"ris": "none"}},
+    }
+    curves = [
+        Curve(figure="gain", preset=name, name=case, scheme="noma", config=base(name, scale, **changes))
+        for case, changes in cases.items()
+    ]
+    oma = base(name, scale, radio={"scheme": "oma"})
+    return [*curves, Curve(figure="gain", preset=name, name=BASE, scheme="oma", config=oma)]
+
+
+def difference_factor(name: str, scale: Scale) -> list[Curve]:
+    """Federations whose cells fade more or less alike, and a cell alone for as many episodes."""
+    shared = {"figure": "difference_factor", "preset": name, "scheme": "noma"}
+    together = [
+        Curve(name=f"DF = {factor:g}", config=base(name, scale, cells=3, radio={"difference_factor": factor}), **shared)
+        for factor in scale.differences
+    ]
+    return [*together, Curve(name="one cell", config=_alone(name, scale), **shared)]
+
+
+def federation(name: str, scale: Scale) -> list[Curve]:
+    """Agents with and without federation."""
+    shared = {"figure": "federation", "preset": name, "scheme": "noma"}
+    return [
+        Curve(name="federation", config=base(name, scale, cells=3), **shared),
+        Curve(name="one cell", config=_alone(name, scale), **shared),
+    ]
+
+
+def _alone(name: str, scale: Scale) -> Config:
+    config = base(name, scale)
+    return replace(config, federation=replace(config.federation, episodes=scale.federated[name]))
+
+
+TRAINED: dict[str, Callable[[str, Scale], list[Curve]]] = {
+    "learning_rate": learning_rate,
+    "elements": elements,
+    "power": power,
+    "gain": gain,
+    "difference_factor": difference_factor,
+    "federation": federation,
+}
+"""Figures whose agents are trained for a preset at a scale."""
