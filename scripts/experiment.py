@@ -6,7 +6,6 @@ NAME.csv and NAME.png go beside the file. Finished runs and judgements are kept 
 interrupted or extended experiment goes on where it was. Prints what docs/learning.md shows, as Markdown.
 """
 
-import subprocess
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import tyro
-from judging import RIVALS, agent_scores, rival_scores, train
+from judging import RIVALS, agent_scores, commit, rival_scores, train
 from reference_table import markdown_table, number
 
 from mjris.config import Config, ConfigError, from_dict, preset
@@ -158,17 +157,6 @@ def draw(experiment: Experiment, table: pd.DataFrame, path: Path) -> None:
     axes.set(xlabel="episodes of training", ylabel="sum rate with QoS penalty [Mb/s]", title=experiment.name)
     figure.legend(loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     figure.savefig(path, dpi=150)
-
-
-def commit() -> str:
-    """The commit of the code that ran, with a plus where files had changed since."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
-
-    return git("rev-parse", "--short", "HEAD") + (
-        "+" if git("status", "--porcelain", "mjris", "scripts", "assets") else ""
-    )
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

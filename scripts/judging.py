@@ -1,6 +1,7 @@
 """Runs and judgements that the studies here share: each is made once and kept in a folder."""
 
 import json
+import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -73,6 +74,17 @@ def kept(path: Path, judge: Callable[[], Scores]) -> Scores:
         unfinished.write_text(text)
         unfinished.rename(path)
     return json.loads(path.read_text())
+
+
+def commit() -> str:
+    """The commit of the code that ran, with a plus where files had changed since."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
+
+    return git("rev-parse", "--short", "HEAD") + (
+        "+" if git("status", "--porcelain", "mjris", "scripts", "assets") else ""
+    )
 
 
 def _scores(config: Config, policy: Policy, scenes: int, seed: int) -> Scores:

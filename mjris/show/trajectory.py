@@ -8,6 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PatchCollection
@@ -29,6 +30,7 @@ _INK = "#222222"
 _HATCH = "#c3d0de"
 _WIDTH_IN = 3.5
 """Half a page."""
+HEIGHTS_LABEL = "height of furniture [m]"
 
 
 def plot_trajectory(office: Office, rollout: Rollout, path: Path) -> None:
@@ -37,20 +39,26 @@ def plot_trajectory(office: Office, rollout: Rollout, path: Path) -> None:
     with rc_context({"font.size": 7, "hatch.linewidth": 0.5, "axes.linewidth": 0.6}):
         figure = Figure(figsize=(_WIDTH_IN, (_WIDTH_IN - 1.0) * y / x + 1.1), dpi=300, layout="compressed")
         axes = figure.add_subplot()
-        axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", xlabel="x [m]", ylabel="y [m]")
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(MaxNLocator(6, integer=True))
-        _draw_shadow(axes, office)
-        heights = _draw_furniture(axes, office)
-        _draw_access_point(axes, office)
-        _draw_path(axes, rollout.rover_xy)
-        _draw_walks(axes, rollout.users_xy)
-        handles, _ = axes.get_legend_handles_labels()
-        hatched = Patch(facecolor="none", edgecolor=_HATCH, hatch="//////", linewidth=0, label="no line of sight")
-        figure.legend(handles=[*handles, hatched], loc="outside lower center", ncols=3, frameon=False)
-        figure.colorbar(heights, ax=axes, shrink=0.5, aspect=14, label="height of furniture [m]")
+        heights, handles = draw_trajectory(axes, office, rollout)
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
+        figure.colorbar(heights, ax=axes, shrink=0.5, aspect=14, label=HEIGHTS_LABEL)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
+
+
+def draw_trajectory(axes: Axes, office: Office, rollout: Rollout) -> tuple[ScalarMappable, list[Artist]]:
+    """What `plot_trajectory` shows, on axes: the scale of the furniture's heights [m], and what a legend needs."""
+    x, y, _ = office.layout.room.size
+    axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(6, integer=True))
+    _draw_shadow(axes, office)
+    heights = _draw_furniture(axes, office)
+    _draw_access_point(axes, office)
+    _draw_path(axes, rollout.rover_xy)
+    _draw_walks(axes, rollout.users_xy)
+    hatched = Patch(facecolor="none", edgecolor=_HATCH, hatch="//////", linewidth=0, label="no line of sight")
+    return heights, [*axes.get_legend_handles_labels()[0], hatched]
 
 
 def shadow(office: Office, spacing_m: float = _GRID_M) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:

@@ -80,6 +80,8 @@ class Curve:
     """With the seed 0."""
     x: float | None = None
     """Where the point is; None is a line over the episodes."""
+    bounded: bool = True
+    """Whether the planner and the upper bound are drawn beside."""
 
     def episodes(self) -> list[int]:
         """The episodes after which the agents are judged."""
@@ -147,6 +149,7 @@ def power(name: str, scale: Scale) -> list[Curve]:
             name=f"M = {antennas}",
             scheme=scheme,
             x=power_dbm,
+            bounded=antennas == 4,
             config=base(name, scale, radio={"num_antennas": antennas, "tx_power_dbm": power_dbm, "scheme": scheme}),
         )
         for antennas in (4, 2)
@@ -157,38 +160,35 @@ def power(name: str, scale: Scale) -> list[Curve]:
 
 def gain(name: str, scale: Scale) -> list[Curve]:
     """Throughput over episodes with each component taken away: every agent learns with what it is judged with."""
-    cases: dict[str, dict[str, dict[str, str]]] = {
+    cases: dict[str, dict[str, Any]] = {
         BASE: {},
         "static order": {"radio": {"decoding_order": "static"}},
         "fixed RIS": {"task": {"ris": "fixed"}},
         "random phases": {"task": {"phases": "random"}},
         "no RIS": {"task": {"ris": "none"}},
     }
-    curves = [
-        Curve(figure="gain", preset=name, name=case, scheme="noma", config=base(name, scale, **changes))
-        for case, changes in cases.items()
-    ]
+    curves = _curves("gain", name, {case: base(name, scale, **changes) for case, changes in cases.items()})
     oma = base(name, scale, radio={"scheme": "oma"})
     return [*curves, Curve(figure="gain", preset=name, name=BASE, scheme="oma", config=oma)]
 
 
 def difference_factor(name: str, scale: Scale) -> list[Curve]:
     """Federations whose cells fade more or less alike, and a cell alone for as many episodes."""
-    shared = {"figure": "difference_factor", "preset": name, "scheme": "noma"}
-    together = [
-        Curve(name=f"DF = {factor:g}", config=base(name, scale, cells=3, radio={"difference_factor": factor}), **shared)
+    cases = {
+        f"DF = {factor:g}": base(name, scale, cells=3, radio={"difference_factor": factor})
         for factor in scale.differences
-    ]
-    return [*together, Curve(name="one cell", config=_alone(name, scale), **shared)]
+    }
+    return _curves("difference_factor", name, {**cases, "one cell": _alone(name, scale)})
 
 
 def federation(name: str, scale: Scale) -> list[Curve]:
     """Agents with and without federation."""
-    shared = {"figure": "federation", "preset": name, "scheme": "noma"}
-    return [
-        Curve(name="federation", config=base(name, scale, cells=3), **shared),
-        Curve(name="one cell", config=_alone(name, scale), **shared),
-    ]
+    return _curves("federation", name, {"federation": base(name, scale, cells=3), "one cell": _alone(name, scale)})
+
+
+def _curves(figure: str, name: str, cases: Mapping[str, Config]) -> list[Curve]:
+    """Lines of NOMA over episodes, by their names."""
+    return [Curve(figure=figure, preset=name, name=case, scheme="noma", config=own) for case, own in cases.items()]
 
 
 def _alone(name: str, scale: Scale) -> Config:

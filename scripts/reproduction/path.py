@@ -1,0 +1,70 @@
+"""The way of the robot: the trained agents of both presets in one held-out scene, over the radio map."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from judging import train
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from mjris.config import Config
+from mjris.eval.floormap import FloorMap, floor_map
+from mjris.learn.policy import load_policy
+from mjris.show.rollout import Rollout, record
+from mjris.show.trajectory import HEIGHTS_LABEL, draw_trajectory
+from mjris.task import Task
+from reproduction.curves import PRESETS, Scale, base
+from reproduction.drawing import STYLE, WIDTH_IN
+from reproduction.results import SCENE_SEED
+
+_SLOTS = 30
+"""Slots that are shown: time enough to cross the office."""
+
+
+def draw_path(scale: Scale, runs: Path, path: Path) -> None:
+    """Write the ways of the first seed's agents, over the worth of every place as the episode begins."""
+    configs = {name: replace(base(name, scale), seed=scale.seeds[0]) for name in PRESETS}
+    folders = train(list(configs.values()), runs)
+    scene = shadowed_scene(configs["office"], scale.scenes)
+    with rc_context({**STYLE, "hatch.linewidth": 0.4, "font.size": 6}):
+        sheet = Figure(figsize=(WIDTH_IN, 3.6), dpi=300, layout="compressed")
+        panels = sheet.subplots(1, len(PRESETS), sharey=True)
+        bars: dict[str, Any] = {"shrink": 0.8, "aspect": 18, "location": "bottom", "pad": 0.02}
+        handles = []
+        for axes, (name, config), folder in zip(panels, configs.items(), folders, strict=True):
+            rollout, task, floor = drive(config, folder, scene, min(_SLOTS, scale.slots))
+            office = task.simulator.world.office(0)
+            x, y, _ = office.layout.room.size
+            worth = axes.imshow(
+                floor.place_gain_bps / 1e6, origin="lower", extent=(0, x, 0, y), cmap="Greens", vmin=0, zorder=0
+            )
+            heights, handles = draw_trajectory(axes, office, rollout)
+            axes.set_title(f"{name} preset", fontsize=6)
+            if axes is panels[0]:
+                sheet.colorbar(heights, ax=axes, label=HEIGHTS_LABEL, **bars)
+            else:
+                axes.set_ylabel("")
+                sheet.colorbar(worth, ax=axes, label="worth of a place [Mb/s]", **bars)
+        sheet.legend(handles=handles, loc="outside upper center", ncols=4, handlelength=1.6, columnspacing=1.0)
+        sheet.savefig(path)
+
+
+def shadowed_scene(config: Config, scenes: int) -> int:
+    """The number of the first of the held-out scenes in which most users begin without line of sight to the AP."""
+    hidden = []
+    for scene in range(scenes):
+        task = Task(config)
+        task.reset(SCENE_SEED + scene)
+        hidden.append((task.simulator.scene.blockers[0, : config.world.num_users] > 0).sum())
+    return int(np.argmax(hidden))
+
+
+def drive(config: Config, run: Path, scene: int, slots: int) -> tuple[Rollout, Task, FloorMap]:
+    """An episode of a run's agent, and the floor as it begins."""
+    agent, task = load_policy(run), Task(config)
+    task.reset(SCENE_SEED + scene)
+    floor = floor_map(task.simulator, resolution_m=0.5)
+    rollout = record(task, lambda seen: agent.predict(seen, deterministic=True)[0], slots, SCENE_SEED + scene)
+    return rollout, task, floor

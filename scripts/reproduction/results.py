@@ -1,0 +1,88 @@
+"""From curves to a table: missing agents trained, all judged on the same scenes, with the planner and the bound."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import pandas as pd
+import torch
+from judging import Scores, agent_scores, kept, progress, rival_file, train
+from reference_table import Study, driving
+
+from mjris.config import Config
+from mjris.learn.study import run_folder
+from reproduction.curves import Curve, Scale
+
+SCENE_SEED = 10_000
+"""Of the held-out scenes, which all agents are judged on."""
+PLANNER, BOUND = "planner", "upper bound"
+
+
+def measure(curves: Sequence[Curve], scale: Scale, runs: Path) -> pd.DataFrame:
+    """A row for every curve, point and seed, and for the planner and the upper bound of every point.
+
+    Columns: figure, preset, curve, scheme, x (episodes where the curve is one over episodes), seed, and what
+    `judging.agent_scores` gives; the planner and the bound have a sum rate [Mb/s] only, and no seed.
+    """
+    train([own for curve in curves for own in _seeded(curve, scale)], runs)
+    agents = [
+        (curve, seed, episode, run_folder(own, runs))
+        for curve in curves
+        for seed, own in zip(scale.seeds, _seeded(curve, scale), strict=True)
+        for episode in curve.episodes()
+    ]
+    study = Study(scenes=scale.scenes, slots=scale.slots, every=scale.every, seed=SCENE_SEED)
+    bounded = [curve for curve in curves if curve.bounded]
+    jobs: list[tuple[Callable[..., Scores], tuple[object, ...]]] = [
+        *((_judge, (run, episode, scale.scenes)) for _, _, episode, run in agents),
+        *((rivals, (curve.config, study, runs)) for curve in bounded),
+    ]
+    scores = _each(jobs)
+    rows = [
+        _key(curve, episode) | {"seed": seed} | row
+        for (curve, seed, episode, _), row in zip(agents, scores, strict=False)
+    ]
+    for curve, best in zip(bounded, scores[len(agents) :], strict=True):
+        rows += [_key(curve, float("nan")) | {"curve": name, "sum_rate_mbps": best[name]} for name in (PLANNER, BOUND)]
+    return pd.DataFrame(rows).drop_duplicates(ignore_index=True)
+
+
+def rivals(config: Config, study: Study, runs: Path) -> Scores:
+    """Sum rates [Mb/s] of the planner, and of the upper bound for its channels, in some slots of the same scenes."""
+    # What is trained, and what a curve takes from its agents, change neither of them.
+    task = replace(config.task, ris="mobile", phases="learned")
+    radio = replace(config.radio, difference_factor=1.0, decoding_order="dynamic")
+    config = replace(config, task=task, radio=radio)
+
+    def judge() -> Scores:
+        judged = driving(config, study, lambda: None)
+        return {PLANNER: judged.sum_rate_bps.mean() / 1e6, BOUND: judged.bound_bps.mean() / 1e6}
+
+    return kept(rival_file(config, runs, f"bounded_{study.scenes}_{study.every}_{study.seed}"), judge)
+
+
+def _seeded(curve: Curve, scale: Scale) -> list[Config]:
+    return [replace(curve.config, seed=seed) for seed in scale.seeds]
+
+
+def _key(curve: Curve, episode: float) -> dict[str, object]:
+    x = episode if curve.x is None else curve.x
+    return {"figure": curve.figure, "preset": curve.preset, "curve": curve.name, "scheme": curve.scheme, "x": x}
+
+
+def _judge(run: Path, episode: int, scenes: int) -> Scores:
+    """Averaged agents are the same in all cells, so that one of them is judged."""
+    return agent_scores(run, episode, 0, scenes=scenes, seed=SCENE_SEED)
+
+
+def _each(jobs: Sequence[tuple[Callable[..., Scores], tuple[object, ...]]]) -> list[Scores]:
+    """The scores of all jobs, in order; equal jobs are done once."""
+    pool = ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,))
+    with progress() as shown, pool:
+        bar = shown.add_task("judgements", total=len(set(jobs)))
+        futures = {job: pool.submit(job[0], *job[1]) for job in dict.fromkeys(jobs)}
+        for future in futures.values():
+            future.add_done_callback(lambda _: shown.advance(bar))
+        return [futures[job].result() for job in jobs]
