@@ -16,11 +16,11 @@ from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv
 from mjris.learn.agent import DecayingOUNoise, build_agent
 from mjris.learn.federation import Cell, average
-from mjris.learn.layers import stack_networks
+from mjris.learn.layers import StackedNetwork
 from mjris.learn.policy import load_policy
 from mjris.learn.replay import Batch
 from mjris.learn.run import train, train_many
-from mjris.learn.stack import Lanes, StackedDDPG, num_lanes
+from mjris.learn.stack import StackedDDPG
 from mjris.learn.stacked import StackedCells, StackedRuns
 from mjris.learn.workers import LocalCells, WorkerCells, backend, describe, open_cells
 
@@ -43,8 +43,13 @@ def convert(agent: DDPG, dtype: torch.dtype) -> None:
 
 
 def random_batch(rng: np.random.Generator, agents: int, rows: int, dtype: torch.dtype) -> Batch:
-    shapes = [(agents, rows, 2), (agents, rows, 2), (agents, rows, 1), (agents, rows, 2)]
-    return Batch(*(torch.tensor(rng.uniform(-1, 1, shape), dtype=dtype) for shape in shapes))
+    shapes = [(agents, rows, 4), (agents, rows, 1), (agents, rows, 4)]
+    return Batch(*(torch.tensor(rng.uniform(-1, 1, shape), dtype=dtype) for shape in shapes), width=2)
+
+
+def copied(batch: Batch) -> Batch:
+    """An update writes over the actions of its batch."""
+    return Batch(batch.pairs.clone(), batch.rewards, batch.next_pairs.clone(), batch.width)
 
 
 @pytest.fixture
@@ -57,7 +62,10 @@ class Samples:
     """What SB3 calls a sample of the replay memory: agent `index`'s part of a batch."""
 
     def __init__(self, batch: Batch, index: int):
-        self.observations, self.actions, self.rewards, self.next_observations = (part[index] for part in batch)
+        names = ("observations", "actions", "rewards", "next_observations")
+        self.observations, self.actions, self.rewards, self.next_observations = (
+            getattr(batch, name)[index] for name in names
+        )
         self.dones = torch.zeros_like(self.rewards)
         self.discounts = None
 
@@ -92,7 +100,7 @@ def test_a_stacked_update_equals_sb3s_own(settings: dict, dtype: torch.dtype, at
         sb3_update(agents, random_batch(rng, 3, 32, dtype))
     stack = StackedDDPG(agents)
     batch = random_batch(rng, 3, 32, dtype)
-    actor_losses, critic_losses = stack.update(batch)
+    actor_losses, critic_losses = stack.update(copied(batch))
     sb3_update(agents, batch)
     ignore = ROUNDED_AWAY if dtype == torch.float32 else ()
     for index, agent in enumerate(agents):
@@ -113,7 +121,7 @@ def test_an_agent_goes_on_by_itself_where_the_stack_left_it(network: str):
     stack = StackedDDPG(agents)
     for _ in range(3):
         batch = random_batch(rng, 2, 32, torch.float64)
-        stack.update(batch)
+        stack.update(copied(batch))
         sb3_update(agents, batch)
     for index, other in enumerate(others):
         convert(other, torch.float64)
@@ -139,35 +147,9 @@ def test_agents_act_as_they_do_alone():
     np.testing.assert_allclose(acted, alone, atol=1e-6)
 
 
-@pytest.mark.parametrize("network", ["mlp", "paper"])
-def test_lanes_give_the_numbers_of_one_stack(network: str):
-    agents, rng = toy_agents(5, network=network), np.random.default_rng(0)
-    whole, lanes = StackedDDPG(agents), Lanes(agents, "cpu", 2)
-    for _ in range(3):
-        batch = random_batch(rng, 5, 32, torch.float32)
-        for left, right in zip(whole.update(batch), lanes.update(batch), strict=True):
-            torch.testing.assert_close(left, right)
-    observations = torch.tensor(rng.normal(size=(5, 2)), dtype=torch.float32)
-    torch.testing.assert_close(lanes.act(observations), whole.act(observations), rtol=0, atol=1e-3)
-    lanes.load(3, lanes.state(0))
-    for index in range(5):
-        ignore = ROUNDED_AWAY if network == "paper" else ()
-        assert_close(lanes.state(index), whole.state(0 if index == 3 else index), 1e-5, ignore)
-    lanes.close()
-
-
-@pytest.mark.parametrize(("agents", "lanes"), [(1, 1), (2, 1), (3, 2), (4, 2), (16, 4)])
-def test_lanes_are_for_the_cores_and_have_two_agents_or_more(monkeypatch: pytest.MonkeyPatch, agents: int, lanes: int):
-    monkeypatch.setattr("mjris.learn.stack._CORES", 8)
-    assert num_lanes(agents) == lanes
-    assert num_lanes(agents, "cuda") == 1
-    monkeypatch.setattr("mjris.learn.stack._CORES", 1)
-    assert num_lanes(agents) == 1
-
-
 def test_what_has_no_stacked_form_is_refused():
     with pytest.raises(TypeError, match="Dropout has no stacked form"):
-        stack_networks([nn.Sequential(nn.Dropout()), nn.Sequential(nn.Dropout())])
+        StackedNetwork([nn.Sequential(nn.Linear(2, 2), nn.Dropout()) for _ in range(2)])
     with pytest.raises(TypeError, match="TD3 with these settings has no stacked form"):
         StackedDDPG([TD3("MlpPolicy", ToyEnv(toy_config()))])  # type: ignore
     ahead, behind = toy_agents(2)

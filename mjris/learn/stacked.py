@@ -32,7 +32,7 @@ from mjris.learn.federation import (
     record_episode,
 )
 from mjris.learn.replay import ReplayMemory
-from mjris.learn.stack import Lanes, num_lanes
+from mjris.learn.stack import StackedDDPG
 from mjris.streams import CellId
 
 FloatArray = NDArray[np.floating]
@@ -79,7 +79,7 @@ class StackedRuns:
         log_dirs: Sequence[Path | None],
         device: str = "cpu",
     ):
-        torch.set_num_threads(1)  # the cores are for the lanes
+        torch.set_num_threads(1)  # networks of this size gain little from more
         self._configs, self._make_env = configs, make_env
         self._config = configs[0]
         _check_equal(configs)
@@ -99,8 +99,9 @@ class StackedRuns:
             if (log_dir := log_dirs[g]) is not None:
                 agent.set_logger(configure(str(log_dir / f"cell_{u}"), ["tensorboard"]))
         self._policy = self._agents[0].policy
-        self._learner = Lanes(self._agents, device, num_lanes(len(self._agents), device))
-        self._memory = ReplayMemory(self._agents, self._config.federation.episodes * self._config.task.slots, device)
+        self._learner = StackedDDPG(self._agents, device)
+        slots = self._config.task.slots
+        self._memory = ReplayMemory(self._agents, self._config.federation.episodes * slots, slots, device)
         self._slots = 0
         self._updates = 0
         self._observations: FloatArray
@@ -130,8 +131,7 @@ class StackedRuns:
         return agent
 
     def close(self) -> None:
-        """Release the environments, the TensorBoard files and the threads."""
-        self._learner.close()
+        """Release the environments and the TensorBoard files."""
         for agent in self._agents:
             agent.logger.close()
         for env in self._envs:
