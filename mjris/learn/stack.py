@@ -6,7 +6,6 @@ from itertools import groupby
 import torch
 from stable_baselines3 import DDPG
 from torch import Tensor
-from torch.optim.adam import adam
 
 from mjris.learn.agent import CautiousCritic
 from mjris.learn.layers import StackedNetwork, flattened, turned
@@ -118,7 +117,7 @@ class StackedAdam:
     """
 
     def __init__(self, optimizers: Sequence[torch.optim.Optimizer], network: StackedNetwork):
-        self._network = network
+        self._split = network.split
         states = [list(optimizer.state_dict()["state"].values()) for optimizer in optimizers]
         steps = {float(entries[0]["step"]) if entries else 0.0 for entries in states}
         if len(steps) > 1:
@@ -128,38 +127,39 @@ class StackedAdam:
             for own, entries in zip(moment, states, strict=True):
                 if entries:
                     own.copy_(flattened(entry[key] for entry in entries))
+        self._steps = torch.tensor(*steps, device=network.parameters.device)
         self._groups = []
-        """Agents next to each other that have the same learning rate, and their count of steps."""
+        """Agents next to each other that have the same learning rate: what changes in a step, and the rate."""
+        tensors = network.parameters, network.gradients, *self._moments.values()
         first = 0
         for rate, group in groupby(optimizer.param_groups[0]["lr"] for optimizer in optimizers):
             agents = slice(first, first := first + len(list(group)))
-            self._groups.append((agents, rate, torch.tensor(*steps, device=network.parameters.device)))
+            self._groups.append(([[tensor[agents]] for tensor in tensors], rate))
         (self._beta1, self._beta2), self._eps = optimizers[0].defaults["betas"], optimizers[0].defaults["eps"]
 
     def step(self) -> None:
         """One step along the gradients of the network."""
-        tensors = self._network.parameters, self._network.gradients, *self._moments.values()
-        for agents, rate, steps in self._groups:
-            adam(
-                *([tensor[agents]] for tensor in tensors),
+        self._steps += 1
+        for tensors, rate in self._groups:
+            # What `torch.optim.Adam` calls in the end, which takes longer to get there than the step itself.
+            torch._fused_adam_(
+                *tensors,
                 [],
-                [steps],
-                fused=True,
-                amsgrad=False,
+                [self._steps],
+                lr=rate,
                 beta1=self._beta1,
                 beta2=self._beta2,
-                lr=rate,
-                weight_decay=0.0,
                 eps=self._eps,
+                weight_decay=0.0,
+                amsgrad=False,
                 maximize=False,
             )
 
     def store(self, index: int, optimizer: torch.optim.Optimizer) -> None:
         """Write one agent's state back to its own optimizer."""
-        _, _, steps = self._groups[0]
-        moments = {key: self._network.split(moment[index]).values() for key, moment in self._moments.items()}
+        moments = {key: self._split(moment[index]).values() for key, moment in self._moments.items()}
         state = {
-            number: {"step": steps.to("cpu", copy=True)}
+            number: {"step": self._steps.to("cpu", copy=True)}
             | {key: _single(value) for key, value in zip(moments, values, strict=True)}
             for number, values in enumerate(zip(*moments.values(), strict=True))
         }
