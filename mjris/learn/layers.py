@@ -143,9 +143,7 @@ class StackedNetwork:
         self.gradients = torch.zeros_like(self.parameters)
         """[A, P], of the last `backward` that learned."""
         columns = zip(*(network.named_buffers() for network in networks), strict=True)
-        self.statistics = {
-            column[0][0]: torch.stack([buffer for _, buffer in column]).to(device) for column in columns
-        }
+        self.statistics = {column[0][0]: torch.stack([buffer for _, buffer in column]).to(device) for column in columns}
         """Of batch norms [A, ...], by name."""
         self.state = self.split(self.parameters) | self.statistics
         """Parameters and statistics [A, ...] by the names that they have in the agents, weights [A, in, out]."""
@@ -158,7 +156,9 @@ class StackedNetwork:
     def split(self, flat: Tensor) -> dict[str, Tensor]:
         """[..., P] as a view [..., *shape] for every parameter, by name."""
         parts = flat.split([shape.numel() for shape in self._shapes.values()], -1)
-        return {name: part.unflatten(-1, shape) for part, (name, shape) in zip(parts, self._shapes.items(), strict=True)}
+        return {
+            name: part.unflatten(-1, shape) for part, (name, shape) in zip(parts, self._shapes.items(), strict=True)
+        }
 
     def forward(self, inputs: Tensor, training: bool = False) -> Tensor:
         """Outputs [A, B, out] for inputs [A, B, in], normalised by the minibatch's statistics in training."""
@@ -190,7 +190,9 @@ def flattened(tensors: Iterable[Tensor]) -> Tensor:
 
 
 def _of_layer(number: str, tensors: Tensors) -> Tensors:
-    return {name.removeprefix(f"{number}."): tensor for name, tensor in tensors.items() if name.startswith(f"{number}.")}
+    return {
+        name.removeprefix(f"{number}."): tensor for name, tensor in tensors.items() if name.startswith(f"{number}.")
+    }
 
 
 def _stack(layer: nn.Module, state: Tensors, gradients: Tensors) -> StackedLayer:

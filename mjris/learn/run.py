@@ -10,7 +10,8 @@ from pathlib import Path
 from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
-from mjris.learn.stacked import Results, StackedRuns
+from mjris.learn.spread import open_runs
+from mjris.learn.stacked import Results
 from mjris.learn.workers import check_device, open_cells
 
 Report = Callable[[list[EpisodeMetrics]], None]
@@ -47,7 +48,7 @@ def train(
 def train_many(
     configs: Sequence[Config], outs: Sequence[Path], *, report: Report = _silent, make_env: EnvFactory = OfficeEnv
 ) -> None:
-    """`train` several runs as one stack, whatever their `federation.backend`; agents are averaged within their run.
+    """`train` several runs stacked, whatever their `federation.backend`; agents are averaged within their run.
 
     `report` gets the episodes of all runs. Raises `ConfigError` also where the configs differ in what a stack must
     have in common, see `StackedRuns`.
@@ -56,7 +57,7 @@ def train_many(
         raise ConfigError(f"out: {len(configs)} runs need a folder each")
     for out in outs:
         _check_new(out)
-    with closing(StackedRuns(configs, make_env, [out / "tensorboard" for out in outs])) as runs:
+    with closing(open_runs(configs, make_env, [out / "tensorboard" for out in outs])) as runs:
         for config, out in zip(configs, outs, strict=True):
             _begin_folder(config, out)
         merged: list[State | None] = [None] * len(configs)

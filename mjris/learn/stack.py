@@ -119,15 +119,15 @@ class StackedAdam:
     def __init__(self, optimizers: Sequence[torch.optim.Optimizer], network: StackedNetwork):
         self._split = network.split
         states = [list(optimizer.state_dict()["state"].values()) for optimizer in optimizers]
-        steps = {float(entries[0]["step"]) if entries else 0.0 for entries in states}
-        if len(steps) > 1:
+        steps = [float(entries[0]["step"]) if entries else 0.0 for entries in states]
+        if len(set(steps)) > 1:
             raise ValueError("optimizers: those of a stack must be equally many steps on")
         self._moments = {key: torch.zeros_like(network.parameters) for key in ("exp_avg", "exp_avg_sq")}
         for key, moment in self._moments.items():
             for own, entries in zip(moment, states, strict=True):
                 if entries:
                     own.copy_(flattened(entry[key] for entry in entries))
-        self._steps = torch.tensor(*steps, device=network.parameters.device)
+        self._steps = torch.tensor(steps[0], device=network.parameters.device)
         self._groups = []
         """Agents next to each other that have the same learning rate: what changes in a step, and the rate."""
         tensors = network.parameters, network.gradients, *self._moments.values()
@@ -142,7 +142,7 @@ class StackedAdam:
         self._steps += 1
         for tensors, rate in self._groups:
             # What `torch.optim.Adam` calls in the end, which takes longer to get there than the step itself.
-            torch._fused_adam_(
+            torch.ops.aten._fused_adam_(
                 *tensors,
                 [],
                 [self._steps],
