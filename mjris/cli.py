@@ -42,7 +42,7 @@ class Train:
         from mjris.learn.run import train
         from mjris.learn.workers import describe
 
-        print(describe(self.config))
+        print(describe(self.config, self.device))
         with progress_bar(self.config) as report:
             train(self.config, self.out, report=report, device=self.device)
         print(f"run folder: {self.out}")

@@ -225,9 +225,9 @@ class Federation:
     averaging: bool = True
     """Whether agents are averaged at all; without it they learn alone."""
     backend: Literal["auto", "stacked", "processes"] = "auto"
-    """stacked: all cells learn in lockstep in this process; processes: cell by cell in workers; auto: the faster."""
+    """stacked: cells learn in lockstep, as many at once as a process has; processes: one by one; auto: the faster."""
     workers: Annotated[int, Field(ge=0)] = 0
-    """Processes at most in which cells learn, or those of a stack are stepped; 0 is one a core, 1 is this one."""
+    """Processes at most in which cells learn; 0 is one a core, 1 is this one."""
 
 
 @_plain_errors

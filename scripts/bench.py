@@ -131,21 +131,28 @@ def sight(quick: bool) -> list[Row]:
 
 
 def training(quick: bool) -> list[Row]:
-    """Agent-steps a second, environment and update, of the office preset."""
+    """Agent-steps a second, environment and update, of the office preset and of agents of the paper's size."""
     processes = [{"backend": "processes", "workers": workers} for workers in (1, 2)]
+    stacked = {"backend": "stacked"}
     repeats, slots = (1, 20) if quick else (5, 100)
-    stock, one, two, stack = measures.federation(repeats, 4, slots, [*processes, {"backend": "stacked"}])
-    stock_16, stack_16 = measures.federation(repeats, 16, slots, [{"backend": "stacked"}])
-    return [
-        Row("stock SB3 agents, one after another [agent-steps/s]", stock + stock_16, ",.0f"),
+    stock, one, two, stack = measures.federation(preset("office"), repeats, 4, slots, [*processes, stacked])
+    rows = [
+        Row("SB3's DDPG MlpPolicy agents, one after another [agent-steps/s]", stock, ",.0f"),
         Row("4 cells, one process [agent-steps/s]", one, ",.0f"),
         Row("4 cells, two workers [agent-steps/s]", two, ",.0f"),
-        Row("4 cells, one stack [agent-steps/s]", stack, ",.0f"),
-        Row("16 cells, one stack [agent-steps/s]", stack_16, ",.0f"),
+        Row("4 cells, stacked [agent-steps/s]", stack, ",.0f"),
         Row("4 cells, two workers / one process", ratios(two, one), ".2f", "1.60", ratio=True),
-        Row("4 cells, one stack / stock SB3", ratios(stack, stock), ".2f", "5", ratio=True),
-        Row("16 cells, one stack / stock SB3", ratios(stack_16, stock_16), ".2f", "10", ratio=True),
+        Row("4 cells, stacked / stock SB3", ratios(stack, stock), ".2f", "5", ratio=True),
     ]
+    for name, cells, wanted in (("office", 16, "10"), ("paper", 4, "5"), ("paper", 16, "10")):
+        stock, stack = measures.federation(preset(name), repeats, cells, slots, [stacked])
+        size = "" if name == "office" else ", paper's size"
+        rows += [
+            Row(f"SB3's DDPG beside {cells} cells{size} [agent-steps/s]", stock, ",.0f"),
+            Row(f"{cells} cells, stacked{size} [agent-steps/s]", stack, ",.0f"),
+            Row(f"{cells} cells, stacked / stock SB3{size}", ratios(stack, stock), ".2f", wanted, ratio=True),
+        ]
+    return rows
 
 
 def optimum(quick: bool) -> list[Row]:

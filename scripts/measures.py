@@ -22,7 +22,7 @@ from stable_baselines3 import DDPG
 from mjris.config import Config, preset
 from mjris.env import OfficeEnv, OfficeVecEnv
 from mjris.eval.optimum import best_known
-from mjris.learn.agent import build_agent
+from mjris.learn.agent import build_agent, hidden_layers
 from mjris.learn.run import train
 from mjris.radio.access import noma_rates
 from mjris.radio.channel import Channels, effective_channel
@@ -125,9 +125,8 @@ def sight(repeats: int, calls: int) -> list[list[float]]:
     return [rates(start[..., 0].size * calls, spent) for spent in times]
 
 
-def federation(repeats: int, cells: int, slots: int, ways: Sequence[dict[str, Any]]) -> list[list[float]]:
+def federation(base: Config, repeats: int, cells: int, slots: int, ways: Sequence[dict[str, Any]]) -> list[list[float]]:
     """Agent-steps a second of stock SB3 agents one after another, and of each way to train ours, start-up left out."""
-    base = preset("office")
     base = replace(base, task=replace(base.task, slots=slots))
 
     def trained(way: dict[str, Any]) -> float:
@@ -148,14 +147,17 @@ def federation(repeats: int, cells: int, slots: int, ways: Sequence[dict[str, An
 
 
 def stock_seconds(config: Config, slots: int) -> float:
-    """Seconds that a stock DDPG agent of the same size takes for so many slots of its own environment."""
+    """Seconds that a stock agent takes for so many slots of its own `OfficeEnv`, with an update in each.
+
+    Stock is SB3's `DDPG("MlpPolicy")` with an optimizer and a buffer of its own, and layers and batches of our sizes.
+    """
     torch.set_num_threads(1)
     agent = DDPG(
         "MlpPolicy",
         OfficeEnv(config),
         batch_size=config.agent.batch_size,
         learning_starts=slots // 2,
-        policy_kwargs={"net_arch": list(config.agent.hidden)},
+        policy_kwargs={"net_arch": hidden_layers(config.agent, config.radio)},
         device="cpu",
     )
     agent.learn(slots)

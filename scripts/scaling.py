@@ -53,7 +53,7 @@ def main(options: Options) -> None:
 
 
 def cost(what: str, cells: int, repeats: int) -> tuple[float, float]:
-    """Seconds a slot of all cells takes, and the largest memory of this process [MiB]."""
+    """Seconds a slot of all cells takes, and the largest memory of this process and its workers together [MiB]."""
     if what == "training":
         spent = [training(cells) for _ in range(repeats)]
     else:
@@ -61,7 +61,11 @@ def cost(what: str, cells: int, repeats: int) -> tuple[float, float]:
         step = measures.stepper(OfficeVecEnv(cells, kinematic(config)))
         (times,) = measures.in_turn([lambda: step(_SLOTS)], repeats)
         spent = [time / _SLOTS for time in times]
-    return median(spent), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    own, largest = (
+        resource.getrusage(whose).ru_maxrss / 1024 for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    workers = min(os.cpu_count() or 1, cells) if what == "training" else 0
+    return median(spent), own + workers * largest
 
 
 def kinematic(config: Config) -> Config:
@@ -95,7 +99,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
         time_axes.loglog(group["cells"], group["us_a_cell"], color=colour, marker=mark, label=what)
         memory_axes.semilogx(group["cells"], group["memory_mib"], color=colour, marker=mark, label=what)
     time_axes.set(xlabel="cells", ylabel="time of a slot, a cell [µs]")
-    memory_axes.set(xlabel="cells", ylabel="memory of the process [MiB]", ylim=(0, None))
+    memory_axes.set(xlabel="cells", ylabel="memory of all processes [MiB]", ylim=(0, None))
     for axes in (time_axes, memory_axes):
         axes.set_xticks(table["cells"].unique(), table["cells"].unique())
         axes.grid(alpha=0.3)

@@ -16,12 +16,13 @@ from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv
 from mjris.learn.agent import DecayingOUNoise, build_agent
 from mjris.learn.federation import Cell, average
-from mjris.learn.layers import stack_networks
+from mjris.learn.layers import StackedNetwork
 from mjris.learn.policy import load_policy
-from mjris.learn.replay import Batch
+from mjris.learn.replay import Batch, ReplayMemory
 from mjris.learn.run import train, train_many
-from mjris.learn.stack import Lanes, StackedDDPG, num_lanes
-from mjris.learn.stacked import StackedCells, StackedRuns
+from mjris.learn.spread import SpreadRuns, StackedCells, num_stacks
+from mjris.learn.stack import StackedDDPG
+from mjris.learn.stacked import StackedRuns
 from mjris.learn.workers import LocalCells, WorkerCells, backend, describe, open_cells
 
 # The mean over a batch takes a bias in front of a batch norm out again where its ReLU lets every row through. Its
@@ -43,8 +44,13 @@ def convert(agent: DDPG, dtype: torch.dtype) -> None:
 
 
 def random_batch(rng: np.random.Generator, agents: int, rows: int, dtype: torch.dtype) -> Batch:
-    shapes = [(agents, rows, 2), (agents, rows, 2), (agents, rows, 1), (agents, rows, 2)]
-    return Batch(*(torch.tensor(rng.uniform(-1, 1, shape), dtype=dtype) for shape in shapes))
+    shapes = [(agents, rows, 4), (agents, rows, 1), (agents, rows, 4)]
+    return Batch(*(torch.tensor(rng.uniform(-1, 1, shape), dtype=dtype) for shape in shapes), width=2)
+
+
+def copied(batch: Batch) -> Batch:
+    """An update writes over the actions of its batch."""
+    return Batch(batch.pairs.clone(), batch.rewards, batch.next_pairs.clone(), batch.width)
 
 
 @pytest.fixture
@@ -57,7 +63,10 @@ class Samples:
     """What SB3 calls a sample of the replay memory: agent `index`'s part of a batch."""
 
     def __init__(self, batch: Batch, index: int):
-        self.observations, self.actions, self.rewards, self.next_observations = (part[index] for part in batch)
+        names = ("observations", "actions", "rewards", "next_observations")
+        self.observations, self.actions, self.rewards, self.next_observations = (
+            getattr(batch, name)[index] for name in names
+        )
         self.dones = torch.zeros_like(self.rewards)
         self.discounts = None
 
@@ -92,7 +101,7 @@ def test_a_stacked_update_equals_sb3s_own(settings: dict, dtype: torch.dtype, at
         sb3_update(agents, random_batch(rng, 3, 32, dtype))
     stack = StackedDDPG(agents)
     batch = random_batch(rng, 3, 32, dtype)
-    actor_losses, critic_losses = stack.update(batch)
+    actor_losses, critic_losses = stack.update(copied(batch))
     sb3_update(agents, batch)
     ignore = ROUNDED_AWAY if dtype == torch.float32 else ()
     for index, agent in enumerate(agents):
@@ -113,7 +122,7 @@ def test_an_agent_goes_on_by_itself_where_the_stack_left_it(network: str):
     stack = StackedDDPG(agents)
     for _ in range(3):
         batch = random_batch(rng, 2, 32, torch.float64)
-        stack.update(batch)
+        stack.update(copied(batch))
         sb3_update(agents, batch)
     for index, other in enumerate(others):
         convert(other, torch.float64)
@@ -140,32 +149,41 @@ def test_agents_act_as_they_do_alone():
 
 
 @pytest.mark.parametrize("network", ["mlp", "paper"])
-def test_lanes_give_the_numbers_of_one_stack(network: str):
-    agents, rng = toy_agents(5, network=network), np.random.default_rng(0)
-    whole, lanes = StackedDDPG(agents), Lanes(agents, "cpu", 2)
-    for _ in range(3):
-        batch = random_batch(rng, 5, 32, torch.float32)
-        for left, right in zip(whole.update(batch), lanes.update(batch), strict=True):
-            torch.testing.assert_close(left, right)
-    observations = torch.tensor(rng.normal(size=(5, 2)), dtype=torch.float32)
-    torch.testing.assert_close(lanes.act(observations), whole.act(observations), rtol=0, atol=1e-3)
-    lanes.load(3, lanes.state(0))
-    for index in range(5):
-        ignore = ROUNDED_AWAY if network == "paper" else ()
-        assert_close(lanes.state(index), whole.state(0 if index == 3 else index), 1e-5, ignore)
-    lanes.close()
+def test_every_tensor_of_a_step_is_made_on_the_device_of_the_stack(network: str):
+    agents, rng = toy_agents(2, network=network, caution=0.0 if network == "paper" else 0.5), np.random.default_rng(0)
+    stack, memory = StackedDDPG(agents, "cpu"), ReplayMemory(agents, 20, 10, "cpu")
+    following = np.zeros((2, 2), np.float32)
+    # Where a tensor would be made that is told no device, and could not be used beside the others.
+    with torch.device("meta"):
+        for slot in range(12):
+            observations, actions, following = rng.normal(size=(3, 2, 2)).astype(np.float32)
+            memory.add(observations, actions, rng.normal(size=2), following, slot == 9)
+        losses = stack.update(memory.batch(rng.integers(0, 12, (2, 32))))
+        acted = stack.act(torch.from_numpy(following))
+    assert {tensor.device.type for tensor in (*losses, acted, *stack.state(0).values())} == {"cpu"}
 
 
-@pytest.mark.parametrize(("agents", "lanes"), [(1, 1), (2, 1), (3, 2), (4, 2), (16, 4)])
-def test_lanes_are_for_the_cores_and_have_two_agents_or_more(agents: int, lanes: int):
-    assert num_lanes(agents, "cpu", 8) == lanes
-    assert num_lanes(agents, "cuda", 8) == 1
-    assert num_lanes(agents, "cpu", 1) == 1
+def test_the_memory_gives_what_was_added_over_ends_of_episodes_and_of_the_ring():
+    agents, rng = toy_agents(2, buffer_size=15), np.random.default_rng(0)
+    memory, added = ReplayMemory(agents, 60, 10, "cpu"), []
+    observations = rng.normal(size=(2, 2)).astype(np.float32)
+    for slot in range(47):
+        actions, following = rng.normal(size=(2, 2, 2)).astype(np.float32)
+        rewards, last = rng.normal(size=2).astype(np.float32), slot % 10 == 9
+        memory.add(observations, actions, rewards, following, last)
+        added.append((observations, actions, rewards[:, None], following))
+        observations = rng.normal(size=(2, 2)).astype(np.float32) if last else following
+        oldest = max(0, slot - 14)
+        kept = np.tile(np.arange(oldest, slot + 1), (2, 1))
+        batch = memory.batch(kept % 15)
+        parts = batch.observations, batch.actions, batch.rewards, batch.next_observations
+        for part, expected in zip(parts, zip(*added[oldest:], strict=True), strict=True):
+            np.testing.assert_array_equal(part.numpy(), np.stack(expected, 1))
 
 
 def test_what_has_no_stacked_form_is_refused():
     with pytest.raises(TypeError, match="Dropout has no stacked form"):
-        stack_networks([nn.Sequential(nn.Dropout()), nn.Sequential(nn.Dropout())])
+        StackedNetwork([nn.Sequential(nn.Linear(2, 2), nn.Dropout()) for _ in range(2)])
     with pytest.raises(TypeError, match="TD3 with these settings has no stacked form"):
         StackedDDPG([TD3("MlpPolicy", ToyEnv(toy_config()))])  # type: ignore
     ahead, behind = toy_agents(2)
@@ -226,6 +244,45 @@ def test_a_short_run_in_the_office_agrees():
     assert_same_run(stacked, rounds(LocalCells(config, range(2), OfficeEnv, None), 2), 1e-5)
 
 
+def test_stacks_in_several_processes_train_as_one(tmp_path: Path):
+    configs = [replace(office_config(num_cells=2, episodes=2), seed=seed) for seed in (0, 1)]
+    together, apart = StackedRuns(configs, OfficeEnv, [None, None]), SpreadRuns(configs, OfficeEnv, [None, None], 2)
+    params: list = [None, None]
+    for round_ in (1, 2):
+        ours, theirs = (runs.train(round_, params) for runs in (apart, together))
+        for own, expected in zip(ours, theirs, strict=True):
+            assert_same_run([own], [expected], 1e-5)
+        params = [average([state for state, _ in results]) for results in theirs]
+    for name, runs in (("together", together), ("apart", apart)):
+        (tmp_path / name).mkdir()
+        runs.save(1, tmp_path / name, params[1])
+        runs.close()
+    for u in (0, 1):
+        saved = [DDPG.load(tmp_path / name / f"cell_{u}.zip") for name in ("together", "apart")]
+        left, right = (dict(agent.policy.state_dict()) for agent in saved)
+        assert_close(left, right, 1e-6)
+        moments = [list(agent.actor.optimizer.state_dict()["state"].values()) for agent in saved]
+        for own, expected in zip(*moments, strict=True):
+            assert_close(own, expected, 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("cells", "workers", "cores", "make_env", "device", "stacks"),
+    [
+        (4, 0, 2, OfficeEnv, "cpu", 2),
+        (3, 0, 64, OfficeEnv, "cpu", 3),
+        (16, 3, 64, OfficeEnv, "cpu", 3),
+        (16, 0, 64, ToyEnv, "cpu", 1),
+        (16, 0, 64, OfficeEnv, "cuda", 1),
+    ],
+)
+def test_there_is_a_stack_for_every_core(
+    monkeypatch: pytest.MonkeyPatch, cells: int, workers: int, cores: int, make_env, device: str, stacks: int
+):
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    assert num_stacks([office_config(num_cells=cells, workers=workers)], make_env, device) == stacks
+
+
 def test_an_agent_taken_out_remembers_and_continues_as_its_cell_does():
     config = toy_config(num_cells=2)
     runs = StackedRuns([config], ToyEnv, [None])
@@ -277,8 +334,9 @@ def states(run_dir: Path) -> list[dict[str, torch.Tensor]]:
     return [dict(load_policy(run_dir, u, make_env=ToyEnv).policy.state_dict()) for u in (0, 1)]
 
 
-def test_seeds_in_one_stack_are_the_runs_that_they_are_alone(tmp_path: Path):
-    configs = [toy_config(seed=seed) for seed in (0, 1, 2)]
+def test_seeds_and_rates_in_one_stack_are_the_runs_that_they_are_alone(tmp_path: Path):
+    rates = ((0, 1e-3), (1, 1e-3), (2, 3e-4))
+    configs = [toy_config(seed=seed, agent={"learning_rate": rate}) for seed, rate in rates]
     together, alone = ([tmp_path / name / str(seed) for seed in (0, 1, 2)] for name in ("together", "alone"))
     reports = []
     train_many(configs, together, report=reports.append, make_env=ToyEnv)
@@ -344,8 +402,7 @@ def test_failures_in_a_stack_reach_the_caller():
     ("asked", "cells", "cores", "make_env", "chosen"),
     [
         ("auto", 16, 2, OfficeEnv, "stacked"),
-        ("auto", 16, 64, OfficeEnv, "processes"),
-        ("auto", 2, 64, OfficeEnv, "stacked"),
+        ("auto", 16, 64, OfficeEnv, "stacked"),
         ("auto", 16, 2, ToyEnv, "processes"),
         ("stacked", 16, 64, ToyEnv, "stacked"),
         ("processes", 16, 2, OfficeEnv, "processes"),
@@ -360,7 +417,9 @@ def test_the_faster_backend_is_picked_unless_one_is_asked_for(
 
 def test_it_is_said_and_opened(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
-    assert describe(office_config()) == "2 cells learn as one stack in this process"
+    assert describe(office_config()) == "2 cells learn as 2 stacks, one in each worker process"
+    assert describe(office_config(workers=1)) == "2 cells learn as one stack in this process"
+    assert describe(office_config(), "cuda") == "2 cells learn as one stack in this process"
     assert describe(office_config(backend="processes")) == "2 cells learn in 2 worker processes"
     assert (
         describe(office_config(backend="processes", workers=1)) == "2 cells learn one after the other in this process"

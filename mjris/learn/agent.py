@@ -162,7 +162,7 @@ def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:
             env.action_space.shape[0], agent.noise_scale, config.federation.episodes * config.task.slots, rng
         ),
         policy_kwargs={
-            "net_arch": _layers(agent, config.radio),
+            "net_arch": hidden_layers(agent, config.radio),
             "n_critics": 1,
             "optimizer_kwargs": {"fused": True},  # one call instead of a dozen for every small tensor
             **({} if agent.network == "paper" else {"caution": agent.caution}),
@@ -175,7 +175,7 @@ def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:
     return model
 
 
-def _layers(agent: Agent, radio: Radio) -> dict[str, Any]:
+def hidden_layers(agent: Agent, radio: Radio) -> dict[str, Any]:
     """Widths of the hidden layers of actor (pi) and critic (qf)."""
     if agent.network == "mlp":
         return {"pi": list(agent.hidden), "qf": list(agent.hidden)}

@@ -1,21 +1,25 @@
 """Layers of A agents as one, with a leading axis of agents; gradients are written out, as there are so few kinds."""
 
-from collections.abc import Sequence
-from typing import cast
+from collections.abc import Iterable, Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
 
+Tensors = Mapping[str, Tensor]
+"""Parameters and statistics, or gradients, of a layer or network by name."""
 
-class StackedLayer(nn.Module):
+_ALL = slice(None)
+
+
+class StackedLayer:
     """[A, B, in] → [A, B, out]; `backward` refers to the last `forward`."""
 
     def forward(self, inputs: Tensor, training: bool) -> Tensor:
         """Every agent's rows through its own layer; may write over `inputs`."""
         raise NotImplementedError
 
-    def backward(self, gradient: Tensor, learn: bool, through: bool) -> Tensor | None:
-        """The gradient [A, B, in] for that of the outputs, if `through`; with `learn`, sets that of the parameters.
+    def backward(self, gradient: Tensor, learn: bool, through: slice | None) -> Tensor | None:
+        """The gradient [A, B, ≤ in] in the inputs `through`, from that of the outputs; `learn` that of the parameters.
 
         May write over `gradient`.
         """
@@ -25,79 +29,78 @@ class StackedLayer(nn.Module):
 class StackedLinear(StackedLayer):
     """Linear layers; weights are [A, in, out], as products of such are the faster ones."""
 
-    def __init__(self, layers: Sequence[nn.Linear]):
-        super().__init__()
-        self.weight = nn.Parameter(torch.stack([layer.weight.detach().T for layer in layers]))
-        self.bias = nn.Parameter(torch.stack([layer.bias.detach() for layer in layers]))
+    def __init__(self, state: Tensors, gradients: Tensors):
+        self._weight, self._bias = state["weight"], state["bias"][:, None]
+        self._weight_gradient, self._bias_gradient = gradients["weight"], gradients["bias"]
 
     def forward(self, inputs: Tensor, training: bool) -> Tensor:  # noqa: ARG002 - the same in training
         """x W + b."""
         self._inputs = inputs
-        return torch.baddbmm(self.bias[:, None], inputs, self.weight)
+        return torch.baddbmm(self._bias, inputs, self._weight)
 
-    def backward(self, gradient: Tensor, learn: bool, through: bool) -> Tensor | None:
+    def backward(self, gradient: Tensor, learn: bool, through: slice | None) -> Tensor | None:
         """dx = dy Wᵀ, dW = xᵀ dy, db = Σ dy."""
         if learn:
-            self.weight.grad = torch.bmm(self._inputs.mT, gradient)
-            self.bias.grad = gradient.sum(1)
-        return torch.bmm(gradient, self.weight.mT) if through else None
+            torch.bmm(self._inputs.mT, gradient, out=self._weight_gradient)
+            torch.sum(gradient, 1, out=self._bias_gradient)
+        return None if through is None else torch.bmm(gradient, self._weight[:, through].mT)
 
 
 class StackedBatchNorm(StackedLayer):
     """Batch norms, each with statistics of its own: of the minibatch in training, the running ones otherwise."""
 
-    running_mean: Tensor
-    running_var: Tensor
-    num_batches_tracked: Tensor
-
-    def __init__(self, layers: Sequence[nn.BatchNorm1d]):
-        super().__init__()
-        self.weight = nn.Parameter(torch.stack([layer.weight.detach() for layer in layers]))
-        self.bias = nn.Parameter(torch.stack([layer.bias.detach() for layer in layers]))
-        for name, _ in layers[0].named_buffers():
-            self.register_buffer(name, torch.stack([getattr(layer, name) for layer in layers]))
-        assert layers[0].momentum is not None
-        self._momentum, self._eps = layers[0].momentum, layers[0].eps
+    def __init__(self, state: Tensors, gradients: Tensors, first: nn.BatchNorm1d):
+        self._weight, self._bias = state["weight"], state["bias"]
+        self._mean, self._var, self._batches = (
+            state[name] for name in ("running_mean", "running_var", "num_batches_tracked")
+        )
+        self._weight_gradient, self._bias_gradient = gradients["weight"], gradients["bias"]
+        assert first.momentum is not None
+        self._momentum, self._eps = first.momentum, first.eps
 
     def forward(self, inputs: Tensor, training: bool) -> Tensor:
         """Normalised, scaled and shifted."""
         self._trained = training
         if not training:
-            self._scale = self.weight * torch.rsqrt(self.running_var + self._eps)
-            shift = self.bias - self.running_mean * self._scale
+            self._scale = self._weight * torch.rsqrt(self._var + self._eps)
+            shift = self._bias - self._mean * self._scale
             return torch.addcmul(shift[:, None], inputs, self._scale[:, None])
-        self.num_batches_tracked += 1
+        self._batches += 1
         self._inputs = _together(inputs)
-        outputs, self._mean, self._inverse_std = torch.native_batch_norm(
-            self._inputs, *self._parameters_together(), *self._running_together(), True, self._momentum, self._eps
+        outputs, self._batch_mean, self._inverse_std = torch.native_batch_norm(
+            self._inputs,
+            self._weight.flatten(),
+            self._bias.flatten(),
+            *self._running_together(),
+            True,
+            self._momentum,
+            self._eps,
         )
         return _apart(outputs, len(inputs))
 
-    def backward(self, gradient: Tensor, learn: bool, through: bool) -> Tensor | None:
+    def backward(self, gradient: Tensor, learn: bool, through: slice | None) -> Tensor | None:
         """Through the statistics of the minibatch too, where they were what normalised."""
         if not self._trained:
             assert not learn
-            return gradient * self._scale[:, None]
+            return None if through is None else gradient[..., through] * self._scale[:, None, through]
         inputs, weight, bias = torch.ops.aten.native_batch_norm_backward(
             _together(gradient),
             self._inputs,
-            self.weight.view(-1),
+            self._weight.flatten(),
             *self._running_together(),
-            self._mean,
+            self._batch_mean,
             self._inverse_std,
             True,
             self._eps,
-            [through, learn, learn],
+            [through is not None, learn, learn],
         )
         if learn:
-            self.weight.grad, self.bias.grad = weight.view_as(self.weight), bias.view_as(self.bias)
-        return _apart(inputs, len(gradient)) if through else None
-
-    def _parameters_together(self) -> tuple[Tensor, Tensor]:
-        return self.weight.view(-1), self.bias.view(-1)
+            self._weight_gradient.copy_(weight.view_as(self._weight))
+            self._bias_gradient.copy_(bias.view_as(self._bias))
+        return None if through is None else _apart(inputs, len(gradient))[..., through]
 
     def _running_together(self) -> tuple[Tensor, Tensor]:
-        return self.running_mean.view(-1), self.running_var.view(-1)
+        return self._mean.view(-1), self._var.view(-1)
 
 
 class ReLU(StackedLayer):
@@ -108,7 +111,7 @@ class ReLU(StackedLayer):
         self._outputs = inputs.relu_()
         return self._outputs
 
-    def backward(self, gradient: Tensor, learn: bool, through: bool) -> Tensor:  # noqa: ARG002 - no parameters
+    def backward(self, gradient: Tensor, learn: bool, through: slice | None) -> Tensor:  # noqa: ARG002 - no parameters
         """dy where y > 0."""
         return torch.ops.aten.threshold_backward.grad_input(gradient, self._outputs, 0, grad_input=gradient)
 
@@ -121,45 +124,92 @@ class Tanh(StackedLayer):
         self._outputs = inputs.tanh_()
         return self._outputs
 
-    def backward(self, gradient: Tensor, learn: bool, through: bool) -> Tensor:  # noqa: ARG002 - no parameters
+    def backward(self, gradient: Tensor, learn: bool, through: slice | None) -> Tensor:  # noqa: ARG002 - no parameters
         """(1 − y²) dy."""
         return gradient * (1 - self._outputs.square())
 
 
-class StackedNetwork(nn.ModuleList):
-    """Layers one after the other; parameters and statistics have the names of the agents' own networks."""
+class StackedNetwork:
+    """Sequential networks of A agents, of equal shapes, as one. Raises `TypeError` for a layer without a stacked form.
+
+    All parameters are one tensor, and so are their gradients: what is done to each number is one operation.
+    """
+
+    def __init__(self, networks: Sequence[nn.Module], device: str = "cpu"):
+        first = networks[0]
+        self._shapes = {name: turned(parameter).shape for name, parameter in first.named_parameters()}
+        self.parameters = torch.stack([flattened(network.parameters()) for network in networks]).to(device)
+        """[A, P]"""
+        self.gradients = torch.zeros_like(self.parameters)
+        """[A, P], of the last `backward` that learned."""
+        columns = zip(*(network.named_buffers() for network in networks), strict=True)
+        self.statistics = {column[0][0]: torch.stack([buffer for _, buffer in column]).to(device) for column in columns}
+        """Of batch norms [A, ...], by name."""
+        self.state = self.split(self.parameters) | self.statistics
+        """Parameters and statistics [A, ...] by the names that they have in the agents, weights [A, in, out]."""
+        gradients = self.split(self.gradients)
+        self._layers = [
+            _stack(layer, _of_layer(name, self.state), _of_layer(name, gradients))
+            for name, layer in first.named_children()
+        ]
+
+    def split(self, flat: Tensor) -> dict[str, Tensor]:
+        """[..., P] as a view [..., *shape] for every parameter, by name."""
+        parts = flat.split([shape.numel() for shape in self._shapes.values()], -1)
+        return {
+            name: part.unflatten(-1, shape) for part, (name, shape) in zip(parts, self._shapes.items(), strict=True)
+        }
 
     def forward(self, inputs: Tensor, training: bool = False) -> Tensor:
         """Outputs [A, B, out] for inputs [A, B, in], normalised by the minibatch's statistics in training."""
-        for layer in self:
-            inputs = layer(inputs, training)
+        for layer in self._layers:
+            inputs = layer.forward(inputs, training)
         return inputs
 
-    def backward(self, gradient: Tensor, learn: bool) -> Tensor | None:
-        """Set the parameters' gradients with `learn`, and else return that of the last inputs."""
-        first, *others = cast(Sequence[StackedLayer], list(self))
-        for layer in reversed(others):
-            gradient = cast(Tensor, layer.backward(gradient, learn, through=True))
-        return first.backward(gradient, learn, through=not learn)
+    def learn(self, gradient: Tensor) -> None:
+        """Set the gradients of the parameters from that of the outputs [A, B, out]."""
+        for layer in reversed(self._layers[1:]):
+            gradient = _given(layer.backward(gradient, True, _ALL))
+        self._layers[0].backward(gradient, True, None)
+
+    def through(self, gradient: Tensor, inputs: slice) -> Tensor:
+        """The gradient in these inputs [A, B, ≤ in] from that of the outputs [A, B, out]."""
+        for layer in reversed(self._layers[1:]):
+            gradient = _given(layer.backward(gradient, False, _ALL))
+        return _given(self._layers[0].backward(gradient, False, inputs))
 
 
-def stack_networks(networks: Sequence[nn.Module]) -> StackedNetwork:
-    """One network for A sequential ones of equal shapes. Raises `TypeError` for a layer that has no stacked form."""
-    columns = zip(*(network.children() for network in networks), strict=True)
-    return StackedNetwork(_stack(column) for column in columns)
+def turned(tensor: Tensor) -> Tensor:
+    """Weights [out, in] as a stack holds them, or the other way round; anything else as it is."""
+    return tensor.T if tensor.ndim == 2 else tensor
 
 
-def _stack(layers: Sequence[nn.Module]) -> StackedLayer:
-    first = layers[0]
-    if isinstance(first, nn.Linear):
-        return StackedLinear(cast(Sequence[nn.Linear], layers))
-    if isinstance(first, nn.BatchNorm1d):
-        return StackedBatchNorm(cast(Sequence[nn.BatchNorm1d], layers))
-    if isinstance(first, nn.ReLU):
+def flattened(tensors: Iterable[Tensor]) -> Tensor:
+    """What belongs to an agent's parameters, in their order, as a stack holds it [P]."""
+    return torch.cat([turned(tensor.detach()).flatten() for tensor in tensors])
+
+
+def _of_layer(number: str, tensors: Tensors) -> Tensors:
+    return {
+        name.removeprefix(f"{number}."): tensor for name, tensor in tensors.items() if name.startswith(f"{number}.")
+    }
+
+
+def _stack(layer: nn.Module, state: Tensors, gradients: Tensors) -> StackedLayer:
+    if isinstance(layer, nn.Linear):
+        return StackedLinear(state, gradients)
+    if isinstance(layer, nn.BatchNorm1d):
+        return StackedBatchNorm(state, gradients, layer)
+    if isinstance(layer, nn.ReLU):
         return ReLU()
-    if isinstance(first, nn.Tanh):
+    if isinstance(layer, nn.Tanh):
         return Tanh()
-    raise TypeError(f"network: {type(first).__name__} has no stacked form")
+    raise TypeError(f"network: {type(layer).__name__} has no stacked form")
+
+
+def _given(gradient: Tensor | None) -> Tensor:
+    assert gradient is not None
+    return gradient
 
 
 def _together(values: Tensor) -> Tensor:

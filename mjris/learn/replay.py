@@ -16,58 +16,88 @@ FloatArray = NDArray[np.floating]
 class Batch(NamedTuple):
     """Minibatches of A agents, B transitions each; no episode of mjris ends but by truncation."""
 
-    observations: Tensor
-    """[A, B, D]"""
-    actions: Tensor
-    """[A, B, n]"""
+    pairs: Tensor
+    """Observations and actions [A, B, D + n]."""
     rewards: Tensor
     """[A, B, 1]"""
-    next_observations: Tensor
-    """[A, B, D]"""
+    next_pairs: Tensor
+    """Next observations, and room for actions [A, B, D + n]."""
+    width: int
+    """Of the observations, D."""
+
+    @property
+    def observations(self) -> Tensor:
+        """[A, B, D]"""
+        return self.pairs[..., : self.width]
+
+    @property
+    def actions(self) -> Tensor:
+        """[A, B, n]"""
+        return self.pairs[..., self.width :]
+
+    @property
+    def next_observations(self) -> Tensor:
+        """[A, B, D]"""
+        return self.next_pairs[..., : self.width]
+
+    @property
+    def next_actions(self) -> Tensor:
+        """[A, B, n]"""
+        return self.next_pairs[..., self.width :]
 
 
 class ReplayMemory:
-    """The last transitions of every agent, one ring of float32 rows [A, capacity, ...].
+    """The last transitions of every agent, one ring of float32 rows: observation, action and reward.
 
-    The ring is as long as the agents' own buffers, or as the run where that is shorter.
+    The next observation is that of the following row, so that an episode takes one row more than it has slots. The
+    ring is for as many transitions as the agents' own buffers, or the run where that is shorter.
     """
 
-    def __init__(self, agents: Sequence[DDPG], run_slots: int, device: str):
+    def __init__(self, agents: Sequence[DDPG], run_slots: int, episode_slots: int, device: str):
         first = agents[0]
-        observations, actions = (
+        self._width, actions = (
             int(np.prod(space.shape or ())) for space in (first.observation_space, first.action_space)
         )
         self.capacity = min(first.buffer_size, run_slots)
-        self._widths = [observations, actions, 1, observations]
-        rows = np.zeros((len(agents), self.capacity, sum(self._widths)), np.float32)
+        self._length = self.capacity + self.capacity // episode_slots + 2
+        # Zeros of this kind take no memory until they are written over.
+        rows = np.zeros((len(agents), self._length, self._width + actions + 1), np.float32)
         self._rows = torch.from_numpy(rows).to(device)
+        self._offsets = torch.arange(len(agents), device=device)[:, None] * self._length
+        self._places = np.zeros(self.capacity, np.int64)
+        """Row of each transition; transitions are numbered as in SB3's buffer."""
         self._ends = np.zeros(self.capacity, np.bool_)
-        self._offsets = torch.arange(len(agents), device=device)[:, None] * self.capacity
-        self._added = 0
+        self._added = self._row = 0
 
     def add(
         self, observations: FloatArray, actions: FloatArray, rewards: FloatArray, following: FloatArray, last: bool
     ) -> None:
         """Remember one slot of every agent: [A, D], [A, n], [A], [A, D]; `last` is the end of an episode."""
-        place = self._added % self.capacity
-        row = np.concatenate([observations, actions, rewards[:, None], following], 1)
-        self._rows[:, place] = torch.from_numpy(row).to(self._rows.device)
-        self._ends[place] = last
+        number, after = self._added % self.capacity, (self._row + 1) % self._length
+        row = np.concatenate([observations, actions, rewards[:, None]], 1)
+        self._rows[:, self._row] = torch.from_numpy(row).to(self._rows.device)
+        self._rows[:, after, : self._width] = torch.from_numpy(following).to(self._rows.device)
+        self._places[number], self._ends[number] = self._row, last
+        self._row = (after + last) % self._length
         self._added += 1
 
-    def batch(self, places: NDArray[np.int64]) -> Batch:
-        """The transitions at `places` [A, B] of each agent's ring."""
-        flat = torch.from_numpy(places).to(self._rows.device) + self._offsets
-        picked = self._rows.flatten(0, 1).index_select(0, flat.flatten())
-        return Batch(*picked.view(*places.shape, -1).split(self._widths, -1))
+    def batch(self, numbers: NDArray[np.int64]) -> Batch:
+        """Each agent's transitions of these numbers [A, B]."""
+        places = self._places[numbers]
+        flat = torch.from_numpy(np.stack([places, (places + 1) % self._length])).to(self._rows.device) + self._offsets
+        picked = self._rows.flatten(0, 1).index_select(0, flat.flatten()).view(*flat.shape, -1)
+        (pairs, rewards), (next_pairs, _) = (side.split([picked.shape[-1] - 1, 1], -1) for side in picked)
+        return Batch(pairs, rewards, next_pairs, self._width)
 
     def store(self, index: int, buffer: ReplayBuffer) -> None:
         """Write what an agent remembers to an empty SB3 buffer."""
         filled = min(self._added, self.capacity)
-        parts = self._rows[index, :filled].cpu().split(self._widths, -1)
+        own, places = self._rows[index].cpu().numpy(), self._places[:filled]
+        observations, actions, rewards = np.split(own[places], [self._width, own.shape[1] - 1], 1)
+        following = own[(places + 1) % self._length, : self._width]
         names = ("observations", "actions", "rewards", "next_observations")
-        for name, part in zip(names, parts, strict=True):
-            getattr(buffer, name)[:filled] = part.numpy().reshape(getattr(buffer, name)[:filled].shape)
+        for name, values in zip(names, (observations, actions, rewards, following), strict=True):
+            getattr(buffer, name)[:filled] = values.reshape(getattr(buffer, name)[:filled].shape)
         # Episodes end by truncation only.
         buffer.dones[:filled, 0] = buffer.timeouts[:filled, 0] = self._ends[:filled]
         buffer.pos, buffer.full = self._added % buffer.buffer_size, self._added >= buffer.buffer_size

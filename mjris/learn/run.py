@@ -10,8 +10,8 @@ from pathlib import Path
 from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
-from mjris.learn.stack import CORES
-from mjris.learn.stacked import Results, StackedRuns
+from mjris.learn.spread import CORES, open_runs
+from mjris.learn.stacked import Results
 from mjris.learn.workers import check_device, open_cells
 
 Report = Callable[[list[EpisodeMetrics]], None]
@@ -53,7 +53,7 @@ def train_many(
     make_env: EnvFactory = OfficeEnv,
     cores: int = CORES,
 ) -> None:
-    """`train` several runs as one stack, whatever their `federation.backend`; agents are averaged within their run.
+    """`train` several runs stacked, whatever their `federation.backend`; agents are averaged within their run.
 
     `report` gets the episodes of all runs; no more than `cores` are used. Raises `ConfigError` also where the configs
     differ in what a stack must have in common, see `StackedRuns`.
@@ -63,7 +63,7 @@ def train_many(
     for out in outs:
         _check_new(out)
     log_dirs = [out / "tensorboard" for out in outs]
-    with closing(StackedRuns(configs, make_env, log_dirs, cores=cores)) as runs:
+    with closing(open_runs(configs, make_env, log_dirs, cores=cores)) as runs:
         for config, out in zip(configs, outs, strict=True):
             _begin_folder(config, out)
         merged: list[State | None] = [None] * len(configs)

@@ -31,45 +31,25 @@ from mjris.learn.federation import (
     record_episode,
 )
 from mjris.learn.replay import ReplayMemory
-from mjris.learn.stack import CORES, Lanes, num_lanes
+from mjris.learn.stack import StackedDDPG
 from mjris.streams import CellId
 
 FloatArray = NDArray[np.floating]
 Results = Sequence[tuple[State, list[EpisodeMetrics]]]
 """What `Cell.train` returns, of every cell."""
 
-_CELLS_A_PROCESS = 5
-"""A slot of fewer cells takes hardly less time, so that more processes would gain nothing."""
-
-
-class StackedCells:
-    """All cells of one run, in lockstep in this process."""
-
-    def __init__(self, config: Config, make_env: EnvFactory, log_dir: Path | None, device: str = "cpu"):
-        self._runs = StackedRuns([config], make_env, [log_dir], device)
-
-    def train(self, round_: int, params: State | None) -> Results:
-        """`Cell.train` of every cell."""
-        return self._runs.train(round_, [params])[0]
-
-    def save(self, folder: Path, params: State | None) -> None:
-        """`Cell.save` of every cell."""
-        self._runs.save(0, folder, params)
-
-    def close(self) -> None:
-        """`Cell.close` of every cell."""
-        self._runs.close()
+Member = tuple[int, int]
+"""A run and a cell of it."""
 
 
 class StackedRuns:
-    """The cells of G runs of U cells each as one stack of G·U agents.
+    """The cells of G runs of U cells each, or these `members` of them, as one stack of G·U agents.
 
-    Runs that differ in nothing but the seed are simulated together, in as many processes as `federation.workers` says
-    and as there are `cores`.
-    The configs may differ in whatever leaves the agents, the number of cells and the slots alike: in their seeds, for
-    one. Every agent draws from the same generators as a `Cell` does, so that its numbers are those of a `Cell` but for
-    rounding. With log directories, cell u of run g logs to cell_u in that of the run. Raises `ConfigError` where
-    configs have no common stack.
+    Runs that differ in nothing but the seed are simulated together.
+    The configs may differ in the learning rate, and in whatever leaves the agents, the number of cells and the slots
+    alike: in their seeds, for one. Every agent draws from the same generators as a `Cell` does, so that its numbers
+    are those of a `Cell` but for rounding. With log directories, cell u of run g logs to cell_u in that of the run.
+    Raises `ConfigError` where configs have no common stack.
     """
 
     def __init__(
@@ -78,17 +58,17 @@ class StackedRuns:
         make_env: EnvFactory,
         log_dirs: Sequence[Path | None],
         device: str = "cpu",
-        cores: int = CORES,
+        members: Sequence[Member] | None = None,
     ):
-        torch.set_num_threads(1)  # the cores are for the lanes
+        torch.set_num_threads(1)  # networks of this size gain little from more
         self._configs, self._make_env = configs, make_env
         self._config = configs[0]
         _check_equal(configs)
-        groups = _alike(configs, self._config.federation.num_cells)
+        groups = _alike(configs, members_of(configs) if members is None else members)
         self._members = [member for group in groups for member in group]
         self._envs: list[OfficeVecEnv | _SingleEnvs] = []
         for group in groups:
-            self._envs.append(_side_by_side([(configs[g], u) for g, u in group], make_env, cores))
+            self._envs.append(_side_by_side([(configs[g], u) for g, u in group], make_env))
             _check_same_spaces(self._envs)
         ends = np.cumsum([len(group) for group in groups]).tolist()
         self._slices = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
@@ -100,8 +80,9 @@ class StackedRuns:
             if (log_dir := log_dirs[g]) is not None:
                 agent.set_logger(configure(str(log_dir / f"cell_{u}"), ["tensorboard"]))
         self._policy = self._agents[0].policy
-        self._learner = Lanes(self._agents, device, num_lanes(len(self._agents), device, cores))
-        self._memory = ReplayMemory(self._agents, self._config.federation.episodes * self._config.task.slots, device)
+        self._learner = StackedDDPG(self._agents, device)
+        slots = self._config.task.slots
+        self._memory = ReplayMemory(self._agents, self._config.federation.episodes * slots, slots, device)
         self._slots = 0
         self._updates = 0
         self._observations: FloatArray
@@ -131,8 +112,7 @@ class StackedRuns:
         return agent
 
     def close(self) -> None:
-        """Release the environments, the TensorBoard files and the threads."""
-        self._learner.close()
+        """Release the environments and the TensorBoard files."""
         for agent in self._agents:
             agent.logger.close()
         for env in self._envs:
@@ -250,28 +230,34 @@ class _SingleEnvs(DummyVecEnv):
         return self._seeds
 
 
-def _alike(configs: Sequence[Config], num_cells: int) -> list[list[tuple[int, int]]]:
-    """Runs and cells of configs that differ in nothing but the seed, which one simulator can step together."""
-    groups: dict[Config, list[tuple[int, int]]] = {}
-    for g, config in enumerate(configs):
-        groups.setdefault(replace(config, seed=0), []).extend((g, u) for u in range(num_cells))
+def members_of(configs: Sequence[Config]) -> list[Member]:
+    """All cells of all runs."""
+    return [(g, u) for g, config in enumerate(configs) for u in range(config.federation.num_cells)]
+
+
+def _alike(configs: Sequence[Config], members: Sequence[Member]) -> list[list[Member]]:
+    """The cells of runs that differ in nothing but the seed, which one simulator can step together."""
+    groups: dict[Config, list[Member]] = {}
+    for g, u in members:
+        groups.setdefault(replace(configs[g], seed=0), []).append((g, u))
     return list(groups.values())
 
 
-def _side_by_side(cells: Sequence[tuple[Config, int]], make_env: EnvFactory, cores: int) -> OfficeVecEnv | _SingleEnvs:
+def _side_by_side(cells: Sequence[tuple[Config, int]], make_env: EnvFactory) -> OfficeVecEnv | _SingleEnvs:
     """Cells of like configs, each with its number: stepped together where they are offices."""
     if make_env is OfficeEnv:
-        config = cells[0][0]
-        processes = min(config.federation.workers or cores, cores, max(1, len(cells) // _CELLS_A_PROCESS))
-        return OfficeVecEnv([CellId(config.seed, u) for config, u in cells], config, processes)
+        return OfficeVecEnv([CellId(config.seed, u) for config, u in cells], cells[0][0])
     return _SingleEnvs([partial(make_env, config, u) for config, u in cells])
 
 
 def _check_equal(configs: Sequence[Config]) -> None:
     first = configs[0]
     for config in configs:
-        if config.agent != first.agent or config.federation != first.federation:
-            raise ConfigError("configs: runs of one stack must have the same agent and federation sections")
+        agent = replace(config.agent, learning_rate=first.agent.learning_rate)
+        if agent != first.agent or config.federation != first.federation:
+            raise ConfigError(
+                "configs: runs of one stack must have the same agent and federation sections, learning rates apart"
+            )
         if config.task.slots != first.task.slots:
             raise ConfigError(
                 f"task.slots: {config.task.slots} is not allowed: the stack's first run has {first.task.slots}"

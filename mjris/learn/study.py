@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.queues import SimpleQueue
 from pathlib import Path
@@ -13,7 +14,7 @@ from mjris.config import Config
 from mjris.env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics
 from mjris.learn.run import train_many
-from mjris.learn.stack import CORES
+from mjris.learn.spread import CORES
 
 Report = Callable[[int, int], None]
 """Is called now and then with how many episodes of all missing runs are over, and how many there are."""
@@ -87,7 +88,8 @@ def _shape(config: Config) -> tuple[Any, ...]:
     """What the configs of a stack must have in common, see `StackedRuns`: sections, and what sizes follow from."""
     world, radio, task = config.world, config.radio, config.task
     sizes = world.num_users, world.pan == "action", radio.num_antennas, radio.num_elements
-    return config.agent, config.federation, task.slots, task.observation, task.phase_control, *sizes
+    agent = replace(config.agent, learning_rate=1.0)  # which may differ
+    return agent, config.federation, task.slots, task.observation, task.phase_control, *sizes
 
 
 # What follows runs in the processes that train.

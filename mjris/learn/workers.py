@@ -3,28 +3,18 @@
 The last two give the same numbers, the stack gives them but for rounding.
 """
 
-import multiprocessing
 import os
-from collections.abc import Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, Protocol
 
-import numpy as np
 import torch
 
 from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv
-from mjris.learn.federation import Cell, EnvFactory, EpisodeMetrics, State
-from mjris.learn.stacked import Results, StackedCells
-
-T = TypeVar("T")
-Arrays = Mapping[str, np.ndarray]
-"""A `State` on its way between processes; torch would send tensors through shared file descriptors instead."""
-
-
-_STACK_GAIN = 3
-"""Worker processes that a stack outruns, as measured on the office preset with one thread."""
+from mjris.learn.federation import Cell, EnvFactory, State
+from mjris.learn.remote import Remotes
+from mjris.learn.spread import StackedCells, num_stacks
+from mjris.learn.stacked import Results
 
 
 class Cells(Protocol):
@@ -50,13 +40,15 @@ def backend(config: Config, make_env: EnvFactory = OfficeEnv) -> Literal["stacke
     """
     if config.federation.backend != "auto":
         return config.federation.backend
-    return "stacked" if make_env is OfficeEnv and num_workers(config) <= _STACK_GAIN else "processes"
+    return "stacked" if make_env is OfficeEnv else "processes"
 
 
-def describe(config: Config) -> str:
-    """How the cells of a run learn, in a few words."""
+def describe(config: Config, device: str = "cpu") -> str:
+    """How the cells of a run of offices learn, in a few words."""
     cells, workers = config.federation.num_cells, num_workers(config)
     if backend(config) == "stacked":
+        if (stacks := num_stacks([config], device=device)) > 1:
+            return f"{cells} cells learn as {stacks} stacks, one in each worker process"
         return f"{cells} cells learn as one stack in this process"
     if workers == 1:
         return f"{cells} cells learn one after the other in this process"
@@ -113,73 +105,22 @@ class LocalCells:
 
 
 class WorkerCells:
-    """Cells in worker processes: cell u lives in worker u modulo the number of workers.
-
-    An exception in a worker is raised here, once the other workers have finished what they were asked for.
-    """
+    """Cells in worker processes: cell u lives in worker u modulo the number of workers."""
 
     def __init__(self, config: Config, workers: int, make_env: EnvFactory, log_dir: Path | None):
-        self._num_cells = config.federation.num_cells
-        # One executor a worker, because a pool of several gives no say in which of them a cell stays.
-        # Spawned, because a fork of a process in which torch and OpenGL have threads may hang.
-        context = multiprocessing.get_context("spawn")
-        self._workers = [ProcessPoolExecutor(max_workers=1, mp_context=context) for _ in range(workers)]
-        try:
-            _wait(
-                [
-                    pool.submit(_open, config, range(w, self._num_cells, workers), make_env, log_dir)
-                    for w, pool in enumerate(self._workers)
-                ]
-            )
-        except BaseException:
-            self.close()
-            raise
+        self._num_cells, self._num_workers = config.federation.num_cells, workers
+        shares = [range(w, self._num_cells, workers) for w in range(workers)]
+        self._workers = Remotes(LocalCells, [(config, share, make_env, log_dir) for share in shares])
 
     def train(self, round_: int, params: State | None) -> Results:
         """`Cell.train` of every cell."""
-        arrays = None if params is None else _to_arrays(params)
-        shares = _wait([pool.submit(_train, round_, arrays) for pool in self._workers])
-        workers = len(self._workers)
-        results = (shares[u % workers][u // workers] for u in range(self._num_cells))
-        return [(_to_tensors(local), metrics) for local, metrics in results]
+        shares = self._workers.call("train", round_, params)
+        return [shares[u % self._num_workers][u // self._num_workers] for u in range(self._num_cells)]
 
     def save(self, folder: Path, params: State | None) -> None:
         """`Cell.save` of every cell."""
-        arrays = None if params is None else _to_arrays(params)
-        _wait([pool.submit(_save, folder, arrays) for pool in self._workers])
+        self._workers.call("save", folder, params)
 
     def close(self) -> None:
         """End the worker processes."""
-        for pool in self._workers:
-            pool.shutdown(cancel_futures=True)
-
-
-def _wait(futures: list[Future[T]]) -> list[T]:
-    """The results of all futures; raises the first exception."""
-    return [future.result() for future in futures]
-
-
-# What follows runs in the workers, each of which keeps the cells of its own here.
-_own: LocalCells
-
-
-def _open(config: Config, indices: range, make_env: EnvFactory, log_dir: Path | None) -> None:
-    global _own
-    _own = LocalCells(config, indices, make_env, log_dir)
-
-
-def _train(round_: int, arrays: Arrays | None) -> list[tuple[Arrays, list[EpisodeMetrics]]]:
-    results = _own.train(round_, None if arrays is None else _to_tensors(arrays))
-    return [(_to_arrays(state), metrics) for state, metrics in results]
-
-
-def _save(folder: Path, arrays: Arrays | None) -> None:
-    _own.save(folder, None if arrays is None else _to_tensors(arrays))
-
-
-def _to_arrays(state: State) -> Arrays:
-    return {key: tensor.numpy() for key, tensor in state.items()}
-
-
-def _to_tensors(arrays: Arrays) -> State:
-    return {key: torch.as_tensor(array) for key, array in arrays.items()}
+        self._workers.close()
