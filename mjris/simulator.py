@@ -189,6 +189,10 @@ class Simulator:
         """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `serving.qos_or_sum`."""
         return serving.qos_or_sum(self._system, effective, wanted_bps)
 
+    def split_powers(self, shares: FloatArray) -> FloatArray:
+        """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `control.split_powers`."""
+        return serving.split_powers(self._system, shares)
+
     def reference_phases(self, weights: FloatArray | None = None) -> FloatArray:
         """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""
         channels = self.scene.channels

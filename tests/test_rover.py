@@ -253,10 +253,10 @@ def test_the_bumper_is_read_wherever_it_could_stop_the_rover():
         fleet._feel(np.arange(64))
         for cell, angle in enumerate(rng.uniform(-math.pi, math.pi, 64)):
             fleet._way.unit[cell] = math.cos(angle), math.sin(angle)
-            read = _may_be_stopped(
-                fleet._way, cell, step, *fleet.xy[cell], made.crowd.walkers, made._hull_solid.arrays, 0.1
-            )
-            stops = free_travel(fleet._bumper, cell, *fleet._way.unit[cell]) < step
+            x, y = fleet.xy[cell]
+            solid, people = made._hull_solid.arrays, made.crowd.walkers
+            read = _may_be_stopped(fleet._way, cell, step, x, y, people, solid, 0.1)
+            stops = free_travel(fleet._bumper, cell, math.cos(angle), math.sin(angle)) < step
             assert read or not stops
             stopped, unread = stopped + stops, unread + (not read and made.clearance()[cell] < 0.15)
     assert stopped > 300

@@ -63,10 +63,8 @@ def ends(ap: FloatArray, panel: FloatArray, receivers: FloatArray) -> tuple[Floa
 
 
 @compiled
-def means(
-    medium: Medium, start: FloatArray, end: FloatArray, blockers: IntArray, heading: FloatArray
-) -> Means:
-    """`Means` of links as `ends` has them, with `blockers` [E, 2K + 1] in their way, for panels that face `heading` [E].
+def means(medium: Medium, start: FloatArray, end: FloatArray, blockers: IntArray, heading: FloatArray) -> Means:
+    """`Means` of links as `ends` has them, with `blockers` [E, 2K + 1] in their way, for panels facing `heading` [E].
 
     `propagation.path_loss_db` and `channel.pattern_gain`.
     """

@@ -167,8 +167,11 @@ def _may_be_stopped(
 @compiled
 def _may_stop(away_x: float, away_y: float, radii_m: float, u: float, v: float, step: float, keep_m: float) -> bool:
     """`_may_be_stopped` by one thing that is (away_x, away_y) off, less the radii of what is round."""
-    away = math.hypot(away_x, away_y)
-    distance, closing = away - radii_m, (away_x * u + away_y * v) / max(away, 1e-12)
+    away = math.sqrt(away_x * away_x + away_y * away_y)
+    distance, closing = away - radii_m, away_x * u + away_y * v
+    if distance - keep_m > step + _DOUBT:
+        return False
+    closing /= max(away, 1e-12)
     return distance <= 0 or (closing > -_DOUBT and distance - keep_m < closing * step + _DOUBT)
 
 
