@@ -5,7 +5,10 @@
 
 import hashlib
 import os
+import shutil
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import TypeVar, cast
@@ -13,6 +16,9 @@ from typing import TypeVar, cast
 import numba
 
 F = TypeVar("F", bound=Callable)
+
+_UNUSED_S = 24 * 3600
+"""Results that no process has begun with for so long are removed."""
 
 
 def compiled(function: F) -> F:
@@ -36,4 +42,17 @@ def _cache_dir(wanted: str) -> Path:
     stats = [(str(path.relative_to(package)), path.stat()) for path in sorted(package.rglob("*.py"))]
     state = repr([(name, stat.st_mtime_ns, stat.st_size) for name, stat in stats])
     own = package / "__pycache__" if os.access(package, os.W_OK) else Path.home() / ".cache" / "mjris"
-    return (Path(wanted) if wanted else own) / f"compiled-{hashlib.sha256(state.encode()).hexdigest()[:12]}"
+    folder = (Path(wanted) if wanted else own) / f"compiled-{hashlib.sha256(state.encode()).hexdigest()[:12]}"
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.touch()
+    _remove_unused(folder)
+    return folder
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove the results of other states of the sources, unless a process may still run that began with them."""
+    for other in folder.parent.glob("compiled-" + 12 * "[0-9a-f]"):
+        # Whoever begins touches its folder; another process may remove the same one at the same time.
+        with suppress(FileNotFoundError):
+            if time.time() - other.stat().st_mtime > _UNUSED_S:
+                shutil.rmtree(other, ignore_errors=True)

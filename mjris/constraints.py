@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.compiled import compiled
 from mjris.config import Config
 from mjris.radio import access
 
@@ -34,7 +35,11 @@ class Constraints:
     def by_cell(self) -> list[dict[str, bool]]:
         """The constraints of every cell by name."""
         kept = zip(*(getattr(self, name).tolist() for name in NAMES), strict=True)
-        return [dict(zip(NAMES, cell, strict=True)) for cell in kept]
+        # A display takes a third of the time of dict(zip(NAMES, cell)).
+        return [
+            {"in_room": room, "power": power, "decoding_order": order, "qos": qos, "collision_free": free}
+            for room, power, order, qos, free in kept
+        ]
 
 
 NAMES = tuple(field.name for field in fields(Constraints))
@@ -87,10 +92,36 @@ def evaluate(
     if order is not None:
         cluster_w = powers_w[:, clusters].sum(-1)
         ordered = ascending(access.effective_gains(effective, cluster_w, clusters, radio.noise_w), order)
-    return Constraints(
-        in_room=within_room(rover_xy, hull_radius_m, room_m),
-        power=within_budget(powers_w, clusters, radio.scheme, radio.tx_power_w),
-        decoding_order=ordered,
-        qos=np.all(rates_bps >= config.task.qos_bps, axis=-1),
-        collision_free=collisions == 0,
+    groups = clusters.reshape(-1, 1) if radio.scheme == "oma" else clusters
+    most_w = radio.tx_power_w / len(groups) * (1 + _ROUNDING)
+    in_room, power, qos = _kept(
+        rover_xy, hull_radius_m, room_m, powers_w, groups, most_w, rates_bps, config.task.qos_bps
     )
+    return Constraints(in_room, power, ordered, qos, collision_free=collisions == 0)
+
+
+@compiled
+def _kept(
+    rover_xy: FloatArray,
+    hull_radius_m: float,
+    room_m: FloatArray,
+    powers_w: FloatArray,
+    groups: IntArray,
+    most_w: float,
+    rates_bps: FloatArray,
+    qos_bps: float,
+) -> tuple[BoolArray, BoolArray, BoolArray]:
+    """`within_room`, `within_budget` for groups of users with `most_w` [W] each, and whether all have `qos_bps`."""
+    cells = len(rover_xy)
+    in_room, power, qos = np.ones(cells, np.bool_), np.ones(cells, np.bool_), np.ones(cells, np.bool_)
+    for e in range(cells):
+        for i in range(2):
+            in_room[e] &= hull_radius_m <= rover_xy[e, i] <= room_m[e, i] - hull_radius_m
+        for group in groups:
+            total = 0.0
+            for user in group:
+                total += powers_w[e, user]
+                power[e] &= powers_w[e, user] >= 0
+                qos[e] &= rates_bps[e, user] >= qos_bps
+            power[e] &= total <= most_w
+    return in_room, power, qos

@@ -1,7 +1,7 @@
 """A task whose cells are spread over processes: this one and workers."""
 
 import multiprocessing
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
 
@@ -9,9 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
+from mjris.constraints import Constraints
 from mjris.simulator import Slot
 from mjris.streams import CellId
 from mjris.task import Task
+
+
+class Columns(NamedTuple):
+    """What infos show of a slot, with an entry for every cell."""
+
+    rates_bps: NDArray[np.floating]
+    qos_met: NDArray[np.bool_]
+    blockers: NDArray[np.int64]
+    clearance_m: NDArray[np.floating]
+    collisions: NDArray[np.int64]
+    constraints: Constraints
 
 
 class Part(NamedTuple):
@@ -21,26 +33,41 @@ class Part(NamedTuple):
     """[E, D]"""
     reward: NDArray[np.floating]
     """[E] [Mb/s]"""
-    columns: dict[str, Iterable[Any]]
-    """What infos are made of, see `info_columns`."""
+    columns: Columns
 
 
-def info_columns(slot: Slot) -> dict[str, Iterable[Any]]:
-    """What infos show of a slot, by name, with an entry for every cell."""
-    return {
-        "rates_bps": slot.rates_bps,
-        "sum_rate_bps": slot.rates_bps.sum(-1).tolist(),
-        "qos_met": slot.qos_met,
-        "blockers": slot.scene.blockers,
-        "clearance_m": slot.clearance_m.tolist(),
-        "collisions": slot.collisions.tolist(),
-        "constraints": slot.constraints.by_cell(),
-    }
+def info_columns(slot: Slot) -> Columns:
+    """What infos show of a slot."""
+    shown = slot.rates_bps, slot.qos_met, slot.scene.blockers, slot.clearance_m, slot.collisions, slot.constraints
+    return Columns(*shown)
 
 
-def infos_of(columns: dict[str, Iterable[Any]]) -> list[dict[str, Any]]:
+def infos_of(columns: Columns) -> list[dict[str, Any]]:
     """The info of every cell."""
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    rates, met, blockers, clearance, collisions, constraints = columns
+    cells = zip(
+        rates,
+        rates.sum(-1).tolist(),
+        met,
+        blockers,
+        clearance.tolist(),
+        collisions.tolist(),
+        constraints.by_cell(),
+        strict=True,
+    )
+    # A display takes a third of the time of dict(zip(names, values)).
+    return [
+        {
+            "rates_bps": rates,
+            "sum_rate_bps": total,
+            "qos_met": met,
+            "blockers": blockers,
+            "clearance_m": clearance,
+            "collisions": collisions,
+            "constraints": constraints,
+        }
+        for rates, total, met, blockers, clearance, collisions, constraints in cells
+    ]
 
 
 class SpreadTask:

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.compiled import compiled
-from mjris.radio import channel, prediction, propagation
+from mjris.radio import links, prediction, propagation
 from mjris.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
+IntArray = NDArray[np.int64]
 
 _CHUNK = 4096
 """Places of all cells that are predicted together, which bounds the memory."""
@@ -24,33 +25,46 @@ def link_gains(simulator: Simulator, places: FloatArray) -> tuple[FloatArray, Fl
     radio, world = simulator.config.radio, simulator.world
     receivers = world.receivers()
     ends = np.concatenate([receivers, simulator.ap_position[:, None]], 1)
-    users = world.sight_map.between(receivers[..., :2], places)
-    blockers = np.concatenate([users, world.sight_map.from_ap(places)[..., None]], -1)
-    distance, cosine = _directions(
-        ends, np.ascontiguousarray(places), world.config.panel_height_m, simulator.bisector(places)
+    places = np.ascontiguousarray(places)
+    return _gains(
+        links.Medium.of(radio),
+        ends,
+        places,
+        world.config.panel_height_m,
+        simulator.bisector(places),
+        world.sight_map.between(receivers[..., :2], places),
+        world.sight_map.from_ap(places),
     )
-    loss_db = propagation.path_loss_db(distance, blockers, radio.carrier_hz)
-    gain = propagation.db_to_linear(-loss_db) * channel.pattern_gain(
-        radio.element_pattern, radio.element_exponent, cosine
-    )
-    return gain[..., -1], gain[..., :-1]
 
 
 @compiled
-def _directions(
-    ends: FloatArray, places: FloatArray, height_m: float, headings: FloatArray
+def _gains(
+    medium: links.Medium,
+    ends: FloatArray,
+    places: FloatArray,
+    height_m: float,
+    headings: FloatArray,
+    users_blockers: IntArray,
+    ap_blockers: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Distances [E, P, L] [m] from panels at `places` [E, P, 2] to `ends` [E, L, 3], and the cosines off boresight."""
-    shape = (*places.shape[:2], ends.shape[1])
-    distance, cosine = np.empty(shape), np.empty(shape)
-    for e in range(shape[0]):
-        for p in range(shape[1]):
+    """`link_gains` for users and AP at `ends` [E, K + 1, 3] [m], panels that face `headings` [E, P] and blockers."""
+    users = ends.shape[1] - 1
+    incident, reflected = np.empty(headings.shape), np.empty((*headings.shape, users))
+    for e in range(headings.shape[0]):
+        for p in range(headings.shape[1]):
             forward_x, forward_y = math.cos(headings[e, p]), math.sin(headings[e, p])
-            for end in range(shape[2]):
+            for end in range(users + 1):
                 x, y = ends[e, end, 0] - places[e, p, 0], ends[e, end, 1] - places[e, p, 1]
-                distance[e, p, end] = math.sqrt(x * x + y * y + (ends[e, end, 2] - height_m) ** 2)
-                cosine[e, p, end] = (forward_x * x + forward_y * y) / max(distance[e, p, end], 1e-12)
-    return distance, cosine
+                distance = math.sqrt(x * x + y * y + (ends[e, end, 2] - height_m) ** 2)
+                cosine = (forward_x * x + forward_y * y) / max(distance, 1e-12)
+                blockers = users_blockers[e, p, end] if end < users else ap_blockers[e, p]
+                loss_db = links.path_loss_db(medium, distance, blockers)
+                gain = 10.0 ** (-loss_db / 10) * links.pattern_gain(medium, cosine)
+                if end < users:
+                    reflected[e, p, end] = gain
+                else:
+                    incident[e, p] = gain
+    return incident, reflected
 
 
 def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:

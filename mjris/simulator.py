@@ -91,6 +91,7 @@ class Simulator:
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
         self._system = serving.System.of(radio, self.clusters, config.task.qos_bps)
+        self._medium = links.Medium.of(radio)
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
@@ -188,6 +189,10 @@ class Simulator:
         """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `serving.qos_or_sum`."""
         return serving.qos_or_sum(self._system, effective, wanted_bps)
 
+    def split_powers(self, shares: FloatArray) -> FloatArray:
+        """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `control.split_powers`."""
+        return serving.split_powers(self._system, shares)
+
     def reference_phases(self, weights: FloatArray | None = None) -> FloatArray:
         """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""
         channels = self.scene.channels
@@ -223,43 +228,20 @@ class Simulator:
     def _observe(self) -> Scene:
         """Sight, path losses and channels at the present positions."""
         radio, world = self.config.radio, self.world
-        panel, receivers = world.panel_centre(), world.receivers()
-        aps, panels = (np.broadcast_to(place[:, None], receivers.shape) for place in (self.ap_position, panel))
-        start = np.concatenate([receivers, receivers, self.ap_position[:, None]], 1)
-        end = np.concatenate([aps, panels, panel[:, None]], 1)
+        panel, receivers, heading = world.panel_centre(), world.receivers(), world.fleet.panel_heading
+        start, end = links.ends(self.ap_position, panel, receivers)
         blockers = world.sight.blockers(start, end, self._own_person)
-        way = start - end
-        distance = np.sqrt(np.vecdot(way, way))
-        loss_db = propagation.path_loss_db(distance, blockers, radio.carrier_hz)
-        heading = world.fleet.panel_heading
+        mean = links.means(self._medium, start, end, blockers, heading)
+        elements = links.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m)
         return Scene(
             rover_xy=panel[:, :2],
             rover_heading=world.fleet.heading,
             panel_heading=heading,
             users_xy=receivers[..., :2],
             blockers=blockers,
-            path_loss_db=loss_db,
-            channels=links.channels(
-                self._antennas,
-                receivers,
-                channel.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m),
-                self._amplitudes(loss_db, way, distance, heading),
-                np.where(blockers > 0, 0.0, propagation.db_to_linear(radio.rician_k_db)),
-                self._diffuse,
-                radio.wavelength_m,
-            ),
+            path_loss_db=mean.loss_db,
+            channels=links.channels(self._antennas, receivers, elements, mean, self._diffuse, radio.wavelength_m),
         )
-
-    def _amplitudes(
-        self, loss_db: FloatArray, way: FloatArray, distance: FloatArray, heading: FloatArray
-    ) -> FloatArray:
-        """Amplitudes of all links [E, 2K + 1], element patterns included, for ways that end at the panel or the AP."""
-        radio, seen = self.config.radio, slice(self.config.world.num_users, None)
-        forward = np.cos(heading)[:, None] * way[:, seen, 0] + np.sin(heading)[:, None] * way[:, seen, 1]
-        cosine = forward / np.maximum(distance[:, seen], 1e-12)
-        gain = propagation.db_to_linear(-loss_db)
-        gain[:, seen] *= channel.pattern_gain(radio.element_pattern, radio.element_exponent, cosine)
-        return np.sqrt(gain)
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:
         """Fresh diffuse fading of some cells [n, ...]."""

@@ -73,16 +73,19 @@ class Streams:
 
     def steps(self, num_users: int, scale_m: float) -> tuple[FloatArray, FloatArray]:
         """Everyone's step: Rayleigh distances [E, K] [m] and uniform directions [E, K] [rad]."""
-        uniform = np.stack([stream.own.random((2, num_users)) for stream in self._streams])
+        uniform = np.empty((len(self._streams), 2, num_users))
+        for stream, drawn in zip(self._streams, uniform, strict=True):
+            stream.own.random(out=drawn)
         # Inverse transform of the Rayleigh distribution.
         distance = scale_m * np.sqrt(-2 * np.log1p(-uniform[:, 0]))
         return distance, 2 * np.pi * uniform[:, 1]
 
     def diffuse(self, cells: IntArray, size: int, difference_factor: float) -> ComplexArray:
         """Fresh diffuse fading of some cells [n, size], correlated between cells by the difference factor."""
-        sources = {id(self._streams[e].shared): self._streams[e].shared for e in cells}
-        drawn = {key: propagation.complex_normal(source, (size,)) for key, source in sources.items()}
-        shared = np.stack([drawn[id(self._streams[e].shared)] for e in cells])
+        sources = [self._streams[e].shared for e in cells]
+        first = {source: place for place, source in enumerate(dict.fromkeys(sources))}
+        drawn = np.stack([propagation.complex_normal(source, (size,)) for source in first])
+        shared = drawn[[first[source] for source in sources]]
         if difference_factor == 0:
             return shared
         own = np.stack([propagation.complex_normal(stream, (size,)) for stream in self.own(cells)])

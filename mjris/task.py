@@ -1,18 +1,21 @@
 """What the agents of E cells observe, decide and are rewarded for: array in, array out, over the simulator."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.compiled import compiled
 from mjris.config import Config
-from mjris.radio import control
+from mjris.radio.channel import Channels
 from mjris.radiomap import bare_values, best_goals, penalised, place_values
 from mjris.simulator import Controls, Simulator, Slot
 from mjris.streams import CellId
 
 FloatArray = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
 
 _MAP_RADII_M = (0.6, 2.0, 5.0)
 _MAP_DIRECTIONS = 8
@@ -20,6 +23,8 @@ _GOAL_REACH_M = 4.0
 """How far an action may move the goal of the radio map."""
 _FAR_M = 12.0
 """The furthest waypoint, and what counts as one in observations: about half the diagonal of the default office."""
+_USUAL_LOSS_DB, _LOSS_SPREAD_DB = 70, 15
+"""What path losses are scaled by: indoors at some GHz they lie within 40 and 100 dB."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +78,11 @@ class Task:
         shaping = self.config.agent.discount * self._potential() - before
         return Outcome(self.observe(), self.reward(slot) + shaping, slot)
 
-    def _potential(self) -> FloatArray:
-        """Potential of the present scene [E] [Mb/s], for rewards shaped as in Ng, Harada and Russell (1999)."""
+    def _potential(self) -> FloatArray | float:
+        """Potential of the scene [E] [Mb/s], or zero, for rewards shaped as in Ng, Harada and Russell (1999)."""
         weight = self.config.task.map_potential
         if weight == 0:
-            return np.zeros(self.simulator.num_cells)
+            return 0.0
         simulator = self.simulator
         now = simulator.resets, simulator.slots
         if now != self._valued_at:
@@ -103,8 +108,21 @@ class Task:
 
     def observe(self) -> NDArray[np.float32]:
         """Observations of the present scene [E, D], every entry of order one."""
-        parts = self._observe_csi() if self.config.task.observation == "csi" else self._observe_map()
-        return np.concatenate([part.reshape(self.simulator.num_cells, -1) for part in parts], 1).astype(np.float32)
+        if self.config.task.observation == "map":
+            parts = self._observe_map()
+            return np.concatenate([part.reshape(self.simulator.num_cells, -1) for part in parts], 1).astype(np.float32)
+        scene = self.simulator.scene
+        observation = np.empty((self.simulator.num_cells, self._csi_size()), np.float32)
+        _observe_csi(
+            observation,
+            scene.rover_xy,
+            scene.panel_heading,
+            scene.users_xy,
+            self._half_room,
+            scene.path_loss_db,
+            scene.channels,
+        )
+        return observation
 
     def reward(self, slot: Slot) -> FloatArray:
         """Rewards [E] [Mb/s]: eq. (R), minus the same slot's value without RIS if the reward is "gain"."""
@@ -117,7 +135,7 @@ class Task:
     def _displacement(self, move: FloatArray) -> FloatArray:
         if self.config.task.ris != "mobile":
             return np.zeros_like(move)
-        length = np.linalg.norm(move, axis=-1, keepdims=True)
+        length = np.sqrt(np.vecdot(move, move))[:, None]
         inside = move / np.maximum(length, 1)
         if self.config.task.motion == "displacement":
             return self._reach_m * inside
@@ -135,30 +153,17 @@ class Task:
         return np.pi * action
 
     def _powers(self, action: FloatArray, phases_rad: FloatArray) -> FloatArray:
-        radio, task = self.config.radio, self.config.task
+        task = self.config.task
         shares = (1 + action) / 2
         if task.power_reference == "qos":
             effective = self.simulator.effective_channel(phases_rad)
             powers, _ = self.simulator.reference_powers(effective, task.qos_bps * (1 + task.qos_headroom * shares))
             return powers
-        return control.split_powers(shares, self.simulator.clusters, radio.scheme, radio.tx_power_w)
+        return self.simulator.split_powers(shares)
 
-    def _observe_csi(self) -> list[FloatArray]:
-        """The paper's state, eq. (S): positions, path losses, and fading with the path loss taken out."""
-        scene = self.simulator.scene
-        users = scene.users_xy.shape[1]
-        amplitude = 10 ** (scene.path_loss_db / 20)
-        direct, incident, reflected = scene.channels
-        fading = [
-            direct * amplitude[:, :users, None],
-            incident * amplitude[:, -1, None, None],
-            reflected * amplitude[:, users:-1, None],
-        ]
-        return [
-            *self._positions(),
-            _scaled_loss(scene.path_loss_db),
-            *(part for link in fading for part in (link.real, link.imag)),
-        ]
+    def _csi_size(self) -> int:
+        k, m, n = self.config.world.num_users, self.config.radio.num_antennas, self.config.radio.num_elements
+        return 4 + 2 * k + 2 * k + 1 + 2 * (k * m + n * m + k * n)
 
     def _observe_map(self) -> list[FloatArray]:
         """Positions, gains of the users' channels and the radio map around the rover.
@@ -209,6 +214,48 @@ class Task:
         return [rover, np.cos(heading), np.sin(heading), users]
 
 
+@compiled
+def _observe_csi(
+    seen: NDArray[np.float32],
+    rover_xy: FloatArray,
+    panel_heading: FloatArray,
+    users_xy: FloatArray,
+    half_room: FloatArray,
+    loss_db: FloatArray,
+    channels: Channels,
+) -> None:
+    """The paper's state, eq. (S), [E, D]: positions, path losses, and fading with the path loss taken out."""
+    users, elements = users_xy.shape[1], channels.incident.shape[1]
+    for e in range(len(seen)):
+        x, y = half_room[e]
+        seen[e, 0], seen[e, 1] = rover_xy[e, 0] / x - 1, rover_xy[e, 1] / y - 1
+        seen[e, 2], seen[e, 3] = math.cos(panel_heading[e]), math.sin(panel_heading[e])
+        for k in range(users):
+            seen[e, 4 + 2 * k], seen[e, 5 + 2 * k] = users_xy[e, k, 0] / x - 1, users_xy[e, k, 1] / y - 1
+        at = 4 + 2 * users
+        for link in range(2 * users + 1):
+            seen[e, at + link] = (loss_db[e, link] - _USUAL_LOSS_DB) / _LOSS_SPREAD_DB
+        at += 2 * users + 1
+        for k in range(users):
+            at = _write_fading(seen[e], at, users, channels.direct[e, k], loss_db[e, k])
+        at += users * channels.direct.shape[2]
+        for n in range(elements):
+            at = _write_fading(seen[e], at, elements, channels.incident[e, n], loss_db[e, 2 * users])
+        at += elements * channels.incident.shape[2]
+        for k in range(users):
+            at = _write_fading(seen[e], at, users, channels.reflected[e, k], loss_db[e, users + k])
+
+
+@compiled
+def _write_fading(seen: NDArray[np.float32], at: int, rows: int, row: ComplexArray, loss_db: float) -> int:
+    """Write a link's row of real parts from `at` on, and the imaginary ones as many `rows` behind; where it ends."""
+    amplitude, columns = 10.0 ** (loss_db / 20), len(row)
+    for column in range(columns):
+        seen[at + column] = row[column].real * amplitude
+        seen[at + column + rows * columns] = row[column].imag * amplitude
+    return at + columns
+
+
 def _compressed(offset_m: FloatArray) -> FloatArray:
     """Offsets [..., 2] [m] of order one, their lengths under a square root: what is near matters in detail."""
     length = np.linalg.norm(offset_m, axis=-1, keepdims=True)
@@ -216,5 +263,5 @@ def _compressed(offset_m: FloatArray) -> FloatArray:
 
 
 def _scaled_loss(loss_db: FloatArray) -> FloatArray:
-    """Path losses [dB] around zero and of order one: indoors at some GHz they lie within 40 and 100 dB."""
-    return (loss_db - 70) / 15
+    """Path losses [dB] around zero and of order one."""
+    return (loss_db - _USUAL_LOSS_DB) / _LOSS_SPREAD_DB

@@ -89,6 +89,28 @@ def test_every_constraint_is_reported_on_its_own():
 
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
+def test_room_and_power_of_a_slot_are_those_of_the_array_functions(scheme):
+    rng, config = np.random.default_rng(4), Config(radio=Radio(scheme=scheme))
+    places, room = rng.uniform(-1, 11, (200, 2)), rng.uniform(8, 10, (200, 2))
+    powers = rng.uniform(-0.001, 0.026 if scheme == "oma" else 0.06, (200, 4))
+    arguments = {"effective": np.ones((200, 4, 4), complex), "order": None, "collisions": np.zeros(200, int)}
+    kept = evaluate(
+        config,
+        CLUSTERS,
+        rover_xy=places,
+        hull_radius_m=0.3,
+        room_m=room,
+        powers_w=powers,
+        rates_bps=np.ones((200, 4)),
+        **arguments,
+    )
+    np.testing.assert_array_equal(kept.in_room, within_room(places, 0.3, room))
+    np.testing.assert_array_equal(kept.power, within_budget(powers, CLUSTERS, scheme, config.radio.tx_power_w))
+    assert 20 < kept.in_room.sum() < 180
+    assert 20 < kept.power.sum() < 180
+
+
+@pytest.mark.parametrize("scheme", ["noma", "oma"])
 def test_a_dynamic_order_is_always_kept_and_so_are_room_and_power(scheme):
     made, rng = simulator(scheme=scheme), np.random.default_rng(0)
     met = []

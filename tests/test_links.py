@@ -1,10 +1,13 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mjris.config import Radio
+from mjris.radio import channel, links
 from mjris.radio.channel import phase_ramp
-from mjris.radio.links import channels
-from mjris.radio.propagation import complex_normal, rician
+from mjris.radio.links import Means, channels
+from mjris.radio.propagation import complex_normal, db_to_linear, path_loss_db, rician
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(1, 1, 1, 1), (2, 4, 4, 16), (3, 2, 3, 5)]))
@@ -16,14 +19,43 @@ def test_channels_are_those_of_the_array_functions(seed, shape):
     k_factor = np.where(rng.random(amplitude.shape) < 0.5, 0.0, rng.uniform(0, 100, amplitude.shape))
     sizes = users * antennas, elements * antennas, users * elements
     diffuse = complex_normal(rng, (cells, sum(sizes)))
-    made = channels(ap, people, panel, amplitude, k_factor, diffuse, 0.15)
+    made = channels(ap, people, panel, Means(amplitude, amplitude, k_factor), diffuse, 0.15)
     parts = np.split(diffuse, np.cumsum(sizes)[:2], axis=1)
-    for found, ends, starts, part, links in (
+    for found, ends, starts, part, own in (
         (made.direct, people, ap, parts[0], slice(0, users)),
         (made.incident, panel, ap, parts[1], slice(2 * users, None)),
         (made.reflected, people, panel, parts[2], slice(users, 2 * users)),
     ):
         los = phase_ramp(ends, starts, 0.15)
-        factor, scale = k_factor[:, links, None], amplitude[:, links, None]
+        factor, scale = k_factor[:, own, None], amplitude[:, own, None]
         expected = scale * rician(los, part.reshape(los.shape), factor)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("pattern", ["isotropic", "cosine"])
+def test_means_are_those_of_the_array_functions(pattern):
+    radio, rng = Radio(element_pattern=pattern, element_exponent=0.8, rician_k_db=5.0), np.random.default_rng(0)
+    cells, users = 50, 3
+    ap, panel = rng.uniform(0, 6, (2, cells, 3))
+    receivers, heading = rng.uniform(0, 6, (cells, users, 3)), rng.uniform(-4, 4, cells)
+    receivers[0, 0] = panel[0]  # no distance at all, hence no direction
+    start, end = links.ends(ap, panel, receivers)
+    aps, panels = (np.broadcast_to(place[:, None], receivers.shape) for place in (ap, panel))
+    np.testing.assert_array_equal(start, np.concatenate([receivers, receivers, ap[:, None]], 1))
+    np.testing.assert_array_equal(end, np.concatenate([aps, panels, panel[:, None]], 1))
+    blockers = rng.integers(0, 4, (cells, 2 * users + 1))
+    mean = links.means(links.Medium.of(radio), start, end, blockers, heading)
+    loss_db = path_loss_db(np.linalg.norm(start - end, axis=-1), blockers, radio.carrier_hz)
+    gain = db_to_linear(-loss_db)
+    normal = channel.panel_normal(heading)[:, None]
+    gain[:, users:] *= channel.element_gain(pattern, 0.8, normal, (start - end)[:, users:])
+    np.testing.assert_allclose(mean.loss_db, loss_db, rtol=1e-13)
+    np.testing.assert_allclose(mean.amplitude, np.sqrt(gain), rtol=1e-12)
+    np.testing.assert_allclose(mean.k_factor, np.where(blockers > 0, 0, 10**0.5))
+
+
+def test_panel_elements_are_those_of_the_array_function():
+    rng = np.random.default_rng(1)
+    centre, heading = rng.uniform(0, 9, (5, 3)), rng.uniform(-4, 4, 5)
+    expected = channel.panel_elements(centre, heading, 3, 4, 0.07)
+    np.testing.assert_allclose(links.panel_elements(centre, heading, 3, 4, 0.07), expected, rtol=1e-14)

@@ -6,7 +6,9 @@ import pytest
 
 from mjris.config import Config
 from mjris.config import World as WorldConfig
+from mjris.world.drives import StraightDrive, _may_be_stopped
 from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, load_layout
+from mjris.world.rover import free_travel
 from mjris.world.world import World
 
 DRIVES = ["kinematic", "wheels"]
@@ -238,3 +240,24 @@ def test_the_panel_turns_where_it_is_told(drive):
     for _ in range(3):
         slot(made, np.zeros((4, 2)))
     np.testing.assert_allclose(np.exp(1j * made.fleet.panel_heading), np.exp(1j * wanted), atol=0.03)
+
+
+def test_the_bumper_is_read_wherever_it_could_stop_the_rover():
+    made, rng = world(load_layout("office"), 64, "kinematic", num_users=8), np.random.default_rng(7)
+    fleet, size = made.fleet, np.array(made.office(0).layout.room.size[:2])
+    assert isinstance(fleet, StraightDrive)
+    step, stopped, unread = 0.05, 0, 0
+    for _ in range(60):
+        # Anywhere in the room, so that many stand closer to something than rovers get.
+        made.fleet.place(np.arange(64), rng.uniform(0, size, (64, 2)), np.zeros(64))
+        fleet._feel(np.arange(64))
+        for cell, angle in enumerate(rng.uniform(-math.pi, math.pi, 64)):
+            fleet._way.unit[cell] = math.cos(angle), math.sin(angle)
+            x, y = fleet.xy[cell]
+            solid, people = made._hull_solid.arrays, made.crowd.walkers
+            read = _may_be_stopped(fleet._way, cell, step, x, y, people, solid, 0.1)
+            stops = free_travel(fleet._bumper, cell, math.cos(angle), math.sin(angle)) < step
+            assert read or not stops
+            stopped, unread = stopped + stops, unread + (not read and made.clearance()[cell] < 0.15)
+    assert stopped > 300
+    assert unread > 100  # or nothing would be saved

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from mjris.radio.access import cluster_beams, decoding_order, noma_rates, oma_rates, zero_forcing
 from mjris.radio.channel import Channels, effective_channel, ris_response
 from mjris.radio.control import aligned_phases, qos_first_powers
+from mjris.radio.control import split_powers as split_by_arrays
 from mjris.radio.propagation import complex_normal
-from mjris.radio.serving import System, qos_aligned_phases, qos_or_sum, rates
+from mjris.radio.serving import System, qos_aligned_phases, qos_or_sum, rates, split_powers
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)
@@ -45,6 +46,15 @@ def test_rates_are_those_of_access(seed, shape):
     flat = channel.reshape(6, -1, antennas), powers.reshape(6, -1)
     expected = noma_rates(*flat, clusters, 2.0, 0.1, order)
     np.testing.assert_allclose(rates(noma, *flat, order), expected, rtol=1e-9)
+
+
+@given(SEEDS, st.sampled_from(["noma", "oma"]))
+def test_shares_of_powers_are_those_of_control(seed, scheme):
+    rng = np.random.default_rng(seed)
+    clusters, shares = random_clusters(rng, 2, 3), rng.uniform(0, rng.uniform(0.1, 1), (5, 6))
+    expected = split_by_arrays(shares, clusters, scheme, 5.0)
+    found = split_powers(system(scheme, 5.0, 1.0, 1.0, 0.0, clusters), shares)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_bad_powers_and_dependent_channels():

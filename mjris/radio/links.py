@@ -1,32 +1,133 @@
-"""The channels of a slot from where everything stands, compiled: `channel` and `propagation` in one pass."""
+"""The links of a slot from where everything stands, compiled: `channel` and `propagation` in one pass."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjris.compiled import compiled
+from mjris.config import Radio
 from mjris.radio.channel import Channels
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
+IntArray = NDArray[np.int64]
+
+
+class Medium(NamedTuple):
+    """What a link is like beside its geometry."""
+
+    carrier_hz: float
+    rician_k: float
+    """Of links in line of sight, linear."""
+    cosine: bool
+    """Whether the panel's elements have the cosine pattern, and not the isotropic one."""
+    exponent: float
+    """Of the cosine pattern."""
+
+    @classmethod
+    def of(cls, radio: Radio) -> "Medium":
+        """With the numbers of a config."""
+        return cls(
+            radio.carrier_hz, 10 ** (radio.rician_k_db / 10), radio.element_pattern == "cosine", radio.element_exponent
+        )
+
+
+class Means(NamedTuple):
+    """What the links AP–users, RIS–users, AP–RIS are like without fading, [E, 2K + 1] each."""
+
+    loss_db: FloatArray
+    """Path loss [dB]."""
+    amplitude: FloatArray
+    """Path loss and the pattern of the panel's elements."""
+    k_factor: FloatArray
+    """Of Rician fading, linear."""
+
+
+@compiled
+def ends(ap: FloatArray, panel: FloatArray, receivers: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where the links AP–users, RIS–users, AP–RIS start and end, both [E, 2K + 1, 3] [m].
+
+    They end at the AP or at the panel, `ap` and `panel` [E, 3] [m], and start at `receivers` [E, K, 3] [m] or the AP.
+    """
+    cells, users = receivers.shape[:2]
+    start, end = np.empty((cells, 2 * users + 1, 3)), np.empty((cells, 2 * users + 1, 3))
+    for e in range(cells):
+        for i in range(3):
+            start[e, 2 * users, i], end[e, 2 * users, i] = ap[e, i], panel[e, i]
+            for k in range(users):
+                start[e, k, i] = start[e, users + k, i] = receivers[e, k, i]
+                end[e, k, i], end[e, users + k, i] = ap[e, i], panel[e, i]
+    return start, end
+
+
+@compiled
+def means(medium: Medium, start: FloatArray, end: FloatArray, blockers: IntArray, heading: FloatArray) -> Means:
+    """`Means` of links as `ends` has them, with `blockers` [E, 2K + 1] in their way, for panels facing `heading` [E].
+
+    `propagation.path_loss_db` and `channel.pattern_gain`.
+    """
+    made = Means(np.empty(blockers.shape), np.empty(blockers.shape), np.empty(blockers.shape))
+    for e in range(blockers.shape[0]):
+        forward_x, forward_y = math.cos(heading[e]), math.sin(heading[e])
+        for link in range(blockers.shape[1]):
+            x, y = start[e, link, 0] - end[e, link, 0], start[e, link, 1] - end[e, link, 1]
+            z = start[e, link, 2] - end[e, link, 2]
+            distance = math.sqrt(x * x + y * y + z * z)
+            made.loss_db[e, link] = path_loss_db(medium, distance, blockers[e, link])
+            gain = 10.0 ** (-made.loss_db[e, link] / 10)
+            if link >= blockers.shape[1] // 2:
+                gain *= pattern_gain(medium, (forward_x * x + forward_y * y) / max(distance, 1e-12))
+            made.amplitude[e, link] = math.sqrt(gain)
+            made.k_factor[e, link] = 0.0 if blockers[e, link] > 0 else medium.rician_k
+    return made
+
+
+@compiled
+def path_loss_db(medium: Medium, distance_m: float, blockers: int) -> float:
+    """`propagation.path_loss_db` of one link."""
+    decades, frequency_db = math.log10(max(distance_m, 1.0)), 20 * math.log10(medium.carrier_hz / 1e6)
+    if blockers > 0:
+        return frequency_db - 28 + 25.5 * decades + (15 + 4 * (blockers - 1))
+    return 16.9 * decades - 27.2 + frequency_db
+
+
+@compiled
+def pattern_gain(medium: Medium, cosine: float) -> float:
+    """`channel.pattern_gain` for one direction."""
+    if not medium.cosine:
+        return 1.0
+    return 2 * (medium.exponent + 1) * cosine**medium.exponent if cosine > 0 else 0.0
+
+
+@compiled
+def panel_elements(centre: FloatArray, heading: FloatArray, rows: int, cols: int, spacing_m: float) -> FloatArray:
+    """`channel.panel_elements` [E, N, 3] [m] for `centre` [E, 3] [m] and `heading` [E] [rad]."""
+    places = np.empty((len(centre), rows * cols, 3))
+    for e in range(len(centre)):
+        x, y = -math.sin(heading[e]), math.cos(heading[e])
+        for n in range(rows * cols):
+            along_row = spacing_m * (n % cols - (cols - 1) / 2)
+            places[e, n, 0] = centre[e, 0] + x * along_row
+            places[e, n, 1] = centre[e, 1] + y * along_row
+            places[e, n, 2] = centre[e, 2] + spacing_m * (n // cols - (rows - 1) / 2)
+    return places
 
 
 def channels(
     antennas: FloatArray,
     receivers: FloatArray,
     elements: FloatArray,
-    amplitude: FloatArray,
-    k_factor: FloatArray,
+    mean: Means,
     diffuse: ComplexArray,
     wavelength_m: float,
 ) -> Channels:
     """Channels of E cells with K users, M antennas and N elements.
 
     `antennas` [E, M, 3], `receivers` [E, K, 3] and `elements` [E, N, 3] are places [m], so that every entry has the
-    phase of its own distance, `channel.phase_ramp`. `amplitude` and the linear Rician `k_factor` [E, 2K + 1] are those
-    of the links AP–users, RIS–users, AP–RIS; `diffuse` [E, K M + N M + K N] is the diffuse part of h_d, G and h_r, for
-    `propagation.rician`.
+    phase of its own distance, `channel.phase_ramp`. `diffuse` [E, K M + N M + K N] is the diffuse part of h_d, G and
+    h_r, for `propagation.rician`.
     """
     cells, users, rows = len(receivers), receivers.shape[1], elements.shape[1]
     columns = antennas.shape[1]
@@ -35,7 +136,7 @@ def channels(
         np.empty((cells, rows, columns), np.complex128),
         np.empty((cells, users, rows), np.complex128),
     )
-    _fill(*made, antennas, receivers, elements, amplitude, k_factor, diffuse, 2 * math.pi / wavelength_m)
+    _fill(*made, antennas, receivers, elements, mean.amplitude, mean.k_factor, diffuse, 2 * math.pi / wavelength_m)
     return made
 
 

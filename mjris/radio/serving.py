@@ -89,6 +89,23 @@ def qos_aligned_phases(
     return _aligned_all(system, direct, incident, reflected, weights, iterations)
 
 
+@compiled
+def split_powers(system: System, shares: FloatArray) -> FloatArray:
+    """`control.split_powers` of shares [E, K]: powers [E, K] [W]."""
+    powers = np.empty(shares.shape)
+    for cell in range(len(shares)):
+        for v in range(len(system.clusters)):
+            asked = 0.0
+            for user in system.clusters[v]:
+                asked += shares[cell, user]
+            for user in system.clusters[v]:
+                if system.oma:
+                    powers[cell, user] = system.tx_power_w / shares.shape[1] * shares[cell, user]
+                else:
+                    powers[cell, user] = system.tx_power_w / len(system.clusters) * shares[cell, user] / max(asked, 1.0)
+    return powers
+
+
 def _flat(values: np.ndarray, axes: int) -> np.ndarray:
     """`values` with all leading axes but the last `axes` in one, contiguous."""
     return np.ascontiguousarray(values).reshape(-1, *values.shape[values.ndim - axes :])

@@ -38,6 +38,9 @@ class Overlay:
         self._legend_top = round(height - 2.4 * self._line)
         self._font = _font("DejaVu Sans", self._em)
         self._bold = _font("DejaVu Sans:bold", self._em)
+        self._drawn_slot: int | None = None
+        self._drawn: Picture
+        """Words of the slot that was drawn last: they stay for many frames."""
 
     @property
     def inset_size(self) -> tuple[int, int]:
@@ -46,12 +49,15 @@ class Overlay:
 
     def draw(self, slot: int, inset: Picture) -> Picture:
         """The column [height, width, 3] of a slot, with a picture of `inset_size`."""
-        image = Image.new("RGB", self._size, _PAPER)
-        image.paste(Image.fromarray(inset), (0, self._inset_top))
-        draw = ImageDraw.Draw(image)
-        self._rates(draw, slot)
-        self._legend(draw)
-        return np.asarray(image)
+        if slot != self._drawn_slot:
+            image = Image.new("RGB", self._size, _PAPER)
+            draw = ImageDraw.Draw(image)
+            self._rates(draw, slot)
+            self._legend(draw)
+            self._drawn_slot, self._drawn = slot, np.asarray(image)
+        column = self._drawn.copy()
+        column[self._inset_top : self._legend_top] = inset
+        return column
 
     def _rates(self, draw: ImageDraw.ImageDraw, slot: int) -> None:
         em, line, rollout = self._em, self._line, self._rollout

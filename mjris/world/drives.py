@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mjris.compiled import compiled
 from mjris.config import World
-from mjris.world.footprints import Footprints, Rectangles, gap
+from mjris.world.footprints import Footprints, Rectangles, gap, toward
 from mjris.world.office import PERSON_RADIUS_M, Office
 from mjris.world.people import Crowd, Walkers, walk
 from mjris.world.rover import Bumper, Fleet, free_travel, heading_of
@@ -31,6 +31,8 @@ _MAX_TURN_RADPS = 3.0
 _ARRIVED_M = 0.01
 _SPEED_SHARE = 0.97
 """Wheel commands stay this far below v_max, for the servo's ripple."""
+_DOUBT = 1e-3
+"""How far geometry is trusted not to differ from contacts, in their distances [m] and normals."""
 
 
 class StraightDrive(Fleet):
@@ -48,7 +50,8 @@ class StraightDrive(Fleet):
             waits=np.zeros(cells, np.bool_),
             # A hair more than the speed allows, so that rounding leaves nothing over after the last tick.
             most_m=config.max_speed_mps * self._tick_s * (1 + 1e-9),
-            out_of_reach_m=self.hull_radius_m + self._feeler_m,
+            hull_m=self.hull_radius_m,
+            feeler_m=self._feeler_m,
         )
 
     def face(self, direction: FloatArray) -> None:
@@ -83,8 +86,10 @@ class _Way(NamedTuple):
     """Who cannot end the present tick before the bumper is read [E]."""
     most_m: float
     """Furthest way of a tick [m]."""
-    out_of_reach_m: float
-    """What is that far from the middle cannot be felt [m]."""
+    hull_m: float
+    """Radius of the hull [m]."""
+    feeler_m: float
+    """What is that far from the hull cannot be felt [m]."""
 
 
 @compiled
@@ -107,7 +112,7 @@ def _set_out(way: _Way, pose: FloatArray, pan: FloatArray, displacement: FloatAr
 @compiled
 def _go_on(way: _Way, tick: int, pose: FloatArray, people: Walkers, solid: Rectangles, bumper: Bumper) -> bool:
     """Drive and walk until `tick` ticks are over, or the bumper has to be read; whether it has to anywhere."""
-    anyone_waits = False
+    anyone_waits, out_of_reach_m = False, way.hull_m + way.feeler_m
     for cell in range(len(pose)):
         office = cell % solid[0].shape[1]
         while way.tick[cell] < tick:
@@ -115,11 +120,16 @@ def _go_on(way: _Way, tick: int, pose: FloatArray, people: Walkers, solid: Recta
             if not way.waits[cell]:
                 x, y = pose[cell, 0], pose[cell, 1]
                 person = walk(people, cell, x, y) - PERSON_RADIUS_M
-                if person <= way.out_of_reach_m:
+                if person <= out_of_reach_m:
                     bumper.fresh[cell] = False
-                if step > way.room_m[cell] - way.out_of_reach_m:
+                if step > way.room_m[cell] - out_of_reach_m:
                     way.room_m[cell] = gap(solid, office, x, y)
-                way.waits[cell] = step > min(way.room_m[cell], person) - way.out_of_reach_m
+                clearance = min(way.room_m[cell], person) - way.hull_m
+                if clearance < way.feeler_m and not bumper.fresh[cell]:
+                    bumper.nearest_m[cell] = min(bumper.nearest_m[cell], clearance)
+                way.waits[cell] = clearance - way.feeler_m < step and (
+                    bumper.fresh[cell] or _may_be_stopped(way, cell, step, x, y, people, solid, bumper.keep_m)
+                )
             if way.waits[cell]:
                 if not bumper.fresh[cell]:
                     anyone_waits = True
@@ -135,6 +145,34 @@ def _go_on(way: _Way, tick: int, pose: FloatArray, people: Walkers, solid: Recta
                 pose[cell, 1] = way.end[cell, 1] - way.left_m[cell] * way.unit[cell, 1]
             way.tick[cell] += 1
     return anyone_waits
+
+
+@compiled
+def _may_be_stopped(
+    way: _Way, cell: int, step: float, x: float, y: float, people: Walkers, solid: Rectangles, keep_m: float
+) -> bool:
+    """Whether `free_travel` could be less than `step` [m] for a rover at a place, as outlines on the floor have it."""
+    u, v, office = way.unit[cell, 0], way.unit[cell, 1], cell % solid[0].shape[1]
+    for b in range(solid[0].shape[2]):
+        away_x, away_y = toward(solid, office, b, x, y)
+        if _may_stop(away_x, away_y, way.hull_m, u, v, step, keep_m):
+            return True
+    for k in range(people.xy.shape[1]):
+        away_x, away_y = people.xy[cell, k, 0] - x, people.xy[cell, k, 1] - y
+        if _may_stop(away_x, away_y, way.hull_m + PERSON_RADIUS_M, u, v, step, keep_m):
+            return True
+    return False
+
+
+@compiled
+def _may_stop(away_x: float, away_y: float, radii_m: float, u: float, v: float, step: float, keep_m: float) -> bool:
+    """`_may_be_stopped` by one thing that is (away_x, away_y) off, less the radii of what is round."""
+    away = math.sqrt(away_x * away_x + away_y * away_y)
+    distance, closing = away - radii_m, away_x * u + away_y * v
+    if distance - keep_m > step + _DOUBT:
+        return False
+    closing /= max(away, 1e-12)
+    return distance <= 0 or (closing > -_DOUBT and distance - keep_m < closing * step + _DOUBT)
 
 
 class WheelDrive(Fleet):

@@ -74,6 +74,18 @@ def gap(rectangles: Rectangles, office: int, x: float, y: float) -> float:
 
 
 @compiled
+def toward(rectangles: Rectangles, office: int, b: int, x: float, y: float) -> tuple[float, float]:
+    """The way from a place to the nearest point of a rectangle [m]; zero inside it."""
+    centre, half, axis = rectangles
+    dx, dy = x - centre[0, office, b], y - centre[1, office, b]
+    ax, ay = axis[0, office, b], axis[1, office, b]
+    along, across = dx * ax + dy * ay, dy * ax - dx * ay
+    along = min(max(along, -half[0, office, b]), half[0, office, b]) - along
+    across = min(max(across, -half[1, office, b]), half[1, office, b]) - across
+    return along * ax - across * ay, along * ay + across * ax
+
+
+@compiled
 def entry(rectangles: Rectangles, office: int, x: float, y: float, u: float, v: float, inflate: float) -> float:
     """The share of a way (u, v) from (x, y) before it enters a rectangle grown by `inflate`, inf if it never does."""
     centre, half, axis = rectangles

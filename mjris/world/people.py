@@ -90,8 +90,9 @@ def walk(people: Walkers, cell: int, rover_x: float, rover_y: float) -> float:
         share = people.walked[cell, k] / people.ticks
         people.xy[cell, k, 0] = people.start[cell, k, 0] + share * step_x
         people.xy[cell, k, 1] = people.start[cell, k, 1] + share * step_y
-        nearest = min(nearest, math.hypot(people.xy[cell, k, 0] - rover_x, people.xy[cell, k, 1] - rover_y))
-    return nearest
+        away_x, away_y = people.xy[cell, k, 0] - rover_x, people.xy[cell, k, 1] - rover_y
+        nearest = min(nearest, away_x * away_x + away_y * away_y)
+    return math.sqrt(nearest)
 
 
 @compiled

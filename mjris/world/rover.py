@@ -121,6 +121,8 @@ class Fleet(ABC):
 
     def _feel(self, cells: IntArray) -> None:
         """Have the bumpers of some cells read, and record what they feel."""
+        if not len(cells):
+            return
         stale = cells[~self._bumper.fresh[cells]]
         if len(stale):
             self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS, ids=stale)

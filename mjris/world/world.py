@@ -146,4 +146,6 @@ class World:
 
 
 def _raised(xy: FloatArray, height_m: float) -> FloatArray:
-    return np.concatenate([xy, np.full((*xy.shape[:-1], 1), height_m)], -1)
+    raised = np.full((*xy.shape[:-1], 3), height_m)
+    raised[..., :2] = xy
+    return raised
