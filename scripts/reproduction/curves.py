@@ -29,8 +29,10 @@ class Scale:
     """Of a cell alone, by preset."""
     federated: Mapping[str, int]
     """Of the cells of a federation, and of those that are compared with them, by preset."""
+    between: Mapping[str, int]
+    """Episodes from one judgement of a cell alone to the next, by preset."""
     rounds: Mapping[str, int]
-    """Episodes of a round, by preset."""
+    """Episodes between two averages of a federation, by preset."""
     learning_rates: tuple[float, ...]
     elements: tuple[int, ...]
     powers_dbm: tuple[float, ...]
@@ -46,6 +48,7 @@ SCALES = {
         every=10,
         episodes={"office": 10, "paper": 10},
         federated={"office": 15, "paper": 15},
+        between={"office": 5, "paper": 5},
         rounds={"office": 5, "paper": 5},
         learning_rates=(1e-3, 3e-4, 1e-4),
         elements=(4, 8, 16, 32),
@@ -57,8 +60,9 @@ SCALES = {
         scenes=32,
         slots=100,
         every=5,
-        episodes={"office": 40, "paper": 60},
-        federated={"office": 60, "paper": 100},
+        episodes={"office": 40, "paper": 40},
+        federated={"office": 60, "paper": 80},
+        between={"office": 10, "paper": 10},
         rounds={"office": 10, "paper": 20},
         learning_rates=(1e-3, 5e-4, 3e-4, 1e-4, 1e-5),
         elements=(4, 8, 16, 32),
@@ -99,7 +103,7 @@ def base(name: str, scale: Scale, *, cells: int = 1, **changes: Mapping[str, Any
         config.federation,
         num_cells=cells,
         episodes=(scale.episodes if cells == 1 else scale.federated)[name],
-        round_episodes=scale.rounds[name],
+        round_episodes=(scale.between if cells == 1 else scale.rounds)[name],
     )
     config = replace(config, task=replace(config.task, slots=scale.slots), federation=federation)
     return replace(config, **{key: replace(getattr(config, key), **fields) for key, fields in changes.items()})
