@@ -276,11 +276,8 @@ def test_stacks_in_several_processes_train_as_one(tmp_path: Path):
         (16, 0, 64, OfficeEnv, "cuda", 1),
     ],
 )
-def test_there_is_a_stack_for_every_core(
-    monkeypatch: pytest.MonkeyPatch, cells: int, workers: int, cores: int, make_env, device: str, stacks: int
-):
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    assert num_stacks([office_config(num_cells=cells, workers=workers)], make_env, device) == stacks
+def test_there_is_a_stack_for_every_core(cells: int, workers: int, cores: int, make_env, device: str, stacks: int):
+    assert num_stacks([office_config(num_cells=cells, workers=workers)], make_env, device, cores) == stacks
 
 
 def test_an_agent_taken_out_remembers_and_continues_as_its_cell_does():
