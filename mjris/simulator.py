@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mjris.compiled import compiled
 from mjris.config import Config
 from mjris.constraints import Constraints, evaluate
-from mjris.radio import access, channel, links, propagation, serving
+from mjris.radio import access, alignment, channel, links, propagation, serving
 from mjris.streams import CellId, Streams
 from mjris.world.layout import load_layout
 from mjris.world.world import World
@@ -197,7 +197,7 @@ class Simulator:
         """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""
         channels = self.scene.channels
         channels = channels._replace(reflected=self.config.radio.element_amplitude * channels.reflected)
-        return serving.qos_aligned_phases(self._system, channels, weights)
+        return alignment.qos_aligned_phases(self._system, channels, weights)
 
     def _decoding_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
         """None for the order of every slot; with the static order, that of the episode's first slot."""

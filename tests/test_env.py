@@ -13,7 +13,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import mjris
 from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv, OfficeVecEnv
-from mjris.radio import serving
+from mjris.radio import alignment, serving
 from mjris.radiomap import bare_values, best_goals, place_values
 from mjris.streams import CellId
 from mjris.task import Task
@@ -248,7 +248,7 @@ def test_action_zero_is_the_closed_forms(scheme):
     move, phases, powers, _ = task.decode(np.zeros((3, task.action_size)))
     np.testing.assert_array_equal(move, simulator.world.way_toward(best_goals(simulator)[0]))
     system = serving.System.of(task.config.radio, simulator.clusters, task.config.task.qos_bps)
-    aligned = serving.qos_aligned_phases(system, simulator.scene.channels)
+    aligned = alignment.qos_aligned_phases(system, simulator.scene.channels)
     np.testing.assert_allclose(phases, aligned)
     wanted = np.full(4, 1.05 * task.config.task.qos_bps)
     best, _ = serving.qos_or_sum(system, simulator.effective_channel(aligned), wanted)

@@ -6,11 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjris.radio.access import cluster_beams, decoding_order, noma_rates, oma_rates, zero_forcing
+from mjris.radio.alignment import qos_aligned_phases
 from mjris.radio.channel import Channels, effective_channel, ris_response
 from mjris.radio.control import aligned_phases, qos_first_powers
 from mjris.radio.control import split_powers as split_by_arrays
 from mjris.radio.propagation import complex_normal
-from mjris.radio.serving import System, qos_aligned_phases, qos_or_sum, rates, split_powers
+from mjris.radio.serving import System, qos_or_sum, rates, split_powers
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)

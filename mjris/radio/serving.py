@@ -1,4 +1,4 @@
-"""What users get in a slot, and the closed forms for it, compiled cell by cell.
+"""What users get in a slot, and the closed forms for powers, compiled cell by cell.
 
 `access` says the same for arrays of any library. There a slot of one cell takes hundreds of operations on a few numbers
 each, which cost many times the arithmetic.
@@ -12,15 +12,10 @@ from numpy.typing import NDArray
 
 from mjris.compiled import compiled
 from mjris.config import Radio
-from mjris.radio.channel import Channels
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
-
-_LINEAR_ITERATIONS = 2
-"""How often `qos_aligned_phases` goes for the sum of the gains, before it cares for every user."""
-_MORE_THAN_ANY_BPS = 1e12
 
 
 class System(NamedTuple):
@@ -72,23 +67,6 @@ def qos_or_sum(
     return powers.reshape(shape), reached.reshape(shape)
 
 
-def qos_aligned_phases(
-    system: System, channels: Channels, weights: FloatArray | None = None, iterations: int = 7
-) -> FloatArray:
-    """Phases [E, N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum`.
-
-    Starts, for every rank among a cluster's users, from the phases for the users of that rank and against the others:
-    a cluster's beam follows its strongest user, and the phases choose who that is. Then every iteration aligns all
-    elements to Σ_k w_k |h_k g_k|², the users' gains through their present beams, with `weights` [E, K] > 0, None for
-    one. From the third iteration on it is the sum of the logarithms that counts, so that weak users do, too, and
-    whoever misses QoS has his weight doubled. Of all that it meets from any start, it keeps the phases with QoS for
-    every user, and among those the highest sum rate. A modulus other than one belongs into `channels.reflected`.
-    """
-    weights = np.ones(channels.direct.shape[:-1]) if weights is None else np.ascontiguousarray(weights)
-    direct, incident, reflected = (np.ascontiguousarray(link) for link in channels)
-    return _aligned_all(system, direct, incident, reflected, weights, iterations)
-
-
 @compiled
 def split_powers(system: System, shares: FloatArray) -> FloatArray:
     """`control.split_powers` of shares [E, K]: powers [E, K] [W]."""
@@ -132,12 +110,12 @@ def _rates(system: System, channel: ComplexArray, powers: FloatArray, order: Int
 def _serve_all(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
     powers, reached = np.empty(wanted.shape), np.empty(wanted.shape)
     for cell in range(len(channel)):
-        powers[cell], reached[cell], _ = _serve(system, channel[cell], wanted[cell])
+        powers[cell], reached[cell], _ = serve(system, channel[cell], wanted[cell])
     return powers, reached
 
 
 @compiled
-def _serve(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
+def serve(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Powers and rates [K] of `qos_or_sum` in one cell, and the beam of every user [K, M]."""
     users = len(channel)
     if system.oma:
@@ -246,9 +224,9 @@ def _cluster_beams(system: System, channel: ComplexArray) -> ComplexArray:
     for v in range(len(heads)):
         strongest = -1.0
         for user in system.clusters[v]:
-            strength = _strength(channel, user)
-            if strength > strongest:
-                heads[v], strongest = user, strength
+            own = strength(channel, user)
+            if own > strongest:
+                heads[v], strongest = user, own
     return _zero_forcing(channel, heads)
 
 
@@ -274,7 +252,7 @@ def _zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
     beams = np.empty((size, antennas), np.complex128)
     gram = np.empty((size, size), np.complex128)
     for i in range(size):
-        norm = math.sqrt(_strength(channel, users[i]))
+        norm = math.sqrt(strength(channel, users[i]))
         for m in range(antennas):
             beams[i, m] = channel[users[i], m].conjugate() / norm
     for i in range(size):
@@ -293,14 +271,14 @@ def _zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
                 for m in range(antennas):
                     beams[j, m] -= factor * beams[i, m]
     for i in range(size):
-        norm = math.sqrt(_strength(beams, i))
+        norm = math.sqrt(strength(beams, i))
         for m in range(antennas):
             beams[i, m] /= norm
     return beams
 
 
 @compiled
-def _strength(rows: ComplexArray, row: int) -> float:
+def strength(rows: ComplexArray, row: int) -> float:
     """Squared norm of a row of [S, M]."""
     total = 0.0
     for m in range(rows.shape[1]):
@@ -315,112 +293,3 @@ def _received(channel: ComplexArray, user: int, beams: ComplexArray, beam: int) 
     for m in range(channel.shape[1]):
         amplitude += channel[user, m] * beams[beam, m]
     return amplitude.real**2 + amplitude.imag**2
-
-
-@compiled
-def _aligned_all(
-    system: System,
-    direct: ComplexArray,
-    incident: ComplexArray,
-    reflected: ComplexArray,
-    weights: FloatArray,
-    iterations: int,
-) -> FloatArray:
-    phases = np.empty(incident.shape[:2])
-    for cell in range(len(phases)):
-        best = -np.inf
-        for rank in range(system.clusters.shape[1]):
-            score, response = _climb(
-                system, direct[cell], incident[cell], reflected[cell], weights[cell], rank, iterations
-            )
-            if score > best:
-                best = score
-                for n in range(len(response)):
-                    phases[cell, n] = math.atan2(response[n].imag, response[n].real)
-    return phases
-
-
-@compiled
-def _climb(
-    system: System,
-    direct: ComplexArray,
-    incident: ComplexArray,
-    reflected: ComplexArray,
-    weights: FloatArray,
-    rank: int,
-    iterations: int,
-) -> tuple[float, ComplexArray]:
-    """The best score of `qos_aligned_phases` from the start for one rank, and its coefficients [N]."""
-    users, elements = reflected.shape
-    response, best_response, best = np.ones(elements, np.complex128), np.ones(elements, np.complex128), -np.inf
-    raised, least = weights.copy(), np.full(users, system.qos_bps)
-    _align(incident, reflected, direct.conj(), _for_rank(system, direct, weights, rank), response)
-    for iteration in range(iterations):
-        channel = _effective(direct, incident, reflected, response)
-        _, reached, beams = _serve(system, channel, least)
-        score = reached.sum()
-        if reached.min() >= system.qos_bps:
-            score += _MORE_THAN_ANY_BPS
-        if score > best:
-            best = score
-            best_response[:] = response
-        toward = np.empty(users, np.complex128)
-        for k in range(users):
-            own = 0j
-            for m in range(beams.shape[1]):
-                own += channel[k, m] * beams[k, m]
-            # The tangent of Σ_k w_k |h_k g_k|², or that of its logarithms.
-            if iteration < _LINEAR_ITERATIONS:
-                toward[k] = raised[k] * own.conjugate()
-            else:
-                if reached[k] < system.qos_bps:
-                    raised[k] *= 2
-                toward[k] = raised[k] / own
-        _align(incident, reflected, beams, toward, response)
-    return best, best_response
-
-
-@compiled
-def _effective(
-    direct: ComplexArray, incident: ComplexArray, reflected: ComplexArray, response: ComplexArray
-) -> ComplexArray:
-    """`channel.effective_channel` [K, M]."""
-    channel = direct.copy()
-    for k in range(reflected.shape[0]):
-        for n in range(reflected.shape[1]):
-            through = reflected[k, n] * response[n]
-            for m in range(direct.shape[1]):
-                channel[k, m] += through * incident[n, m]
-    return channel
-
-
-@compiled
-def _align(
-    incident: ComplexArray, reflected: ComplexArray, beams: ComplexArray, weights: np.ndarray, response: ComplexArray
-) -> None:
-    """Turn Σ_k w_k (h_r,k)_n (G g_k)_n real for every element n, for beams g [K, M]; without any it stays as it is."""
-    for n in range(reflected.shape[1]):
-        pull = 0j
-        for k in range(reflected.shape[0]):
-            toward = 0j
-            for m in range(beams.shape[1]):
-                toward += incident[n, m] * beams[k, m]
-            pull += weights[k] * reflected[k, n] * toward
-        modulus = math.hypot(pull.real, pull.imag)
-        if modulus > 0:
-            response[n] = pull.conjugate() / modulus
-
-
-@compiled
-def _for_rank(system: System, direct: ComplexArray, weights: FloatArray, rank: int) -> FloatArray:
-    """Weights [K] for the users of one rank, and against the others, per power that they receive."""
-    strength, liked = np.empty(len(direct)), np.empty(len(direct))
-    for user in range(len(direct)):
-        strength[user] = _strength(direct, user)
-    order = ascending(system, strength)
-    for v in range(len(order)):
-        for place in range(order.shape[1]):
-            user = order[v, place]
-            weight = weights[user] if place == order.shape[1] - 1 - rank else -1 / weights[user]
-            liked[user] = weight / (strength[user] if strength[user] > 0 else 1.0)
-    return liked

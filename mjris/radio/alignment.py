@@ -1,0 +1,143 @@
+"""Closed-form phases of a slot, compiled cell by cell."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.compiled import compiled
+from mjris.radio.channel import Channels
+from mjris.radio.serving import System, ascending, serve, strength
+
+FloatArray = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+_LINEAR_ITERATIONS = 2
+"""How often `qos_aligned_phases` goes for the sum of the gains, before it cares for every user."""
+_MORE_THAN_ANY_BPS = 1e12
+
+
+def qos_aligned_phases(
+    system: System, channels: Channels, weights: FloatArray | None = None, iterations: int = 7
+) -> FloatArray:
+    """Phases [E, N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum`.
+
+    Starts, for every rank among a cluster's users, from the phases for the users of that rank and against the others:
+    a cluster's beam follows its strongest user, and the phases choose who that is. Then every iteration aligns all
+    elements to Σ_k w_k |h_k g_k|², the users' gains through their present beams, with `weights` [E, K] > 0, None for
+    one. From the third iteration on it is the sum of the logarithms that counts, so that weak users do, too, and
+    whoever misses QoS has his weight doubled. Of all that it meets from any start, it keeps the phases with QoS for
+    every user, and among those the highest sum rate. A modulus other than one belongs into `channels.reflected`.
+    """
+    weights = np.ones(channels.direct.shape[:-1]) if weights is None else np.ascontiguousarray(weights)
+    direct, incident, reflected = (np.ascontiguousarray(link) for link in channels)
+    return _aligned_all(system, direct, incident, reflected, weights, iterations)
+
+
+@compiled
+def _aligned_all(
+    system: System,
+    direct: ComplexArray,
+    incident: ComplexArray,
+    reflected: ComplexArray,
+    weights: FloatArray,
+    iterations: int,
+) -> FloatArray:
+    phases = np.empty(incident.shape[:2])
+    for cell in range(len(phases)):
+        best = -np.inf
+        for rank in range(system.clusters.shape[1]):
+            score, response = _climb(
+                system, direct[cell], incident[cell], reflected[cell], weights[cell], rank, iterations
+            )
+            if score > best:
+                best = score
+                for n in range(len(response)):
+                    phases[cell, n] = math.atan2(response[n].imag, response[n].real)
+    return phases
+
+
+@compiled
+def _climb(
+    system: System,
+    direct: ComplexArray,
+    incident: ComplexArray,
+    reflected: ComplexArray,
+    weights: FloatArray,
+    rank: int,
+    iterations: int,
+) -> tuple[float, ComplexArray]:
+    """The best score of `qos_aligned_phases` from the start for one rank, and its coefficients [N]."""
+    users, elements = reflected.shape
+    response, best_response, best = np.ones(elements, np.complex128), np.ones(elements, np.complex128), -np.inf
+    raised, least = weights.copy(), np.full(users, system.qos_bps)
+    _align(incident, reflected, direct.conj(), _for_rank(system, direct, weights, rank), response)
+    for iteration in range(iterations):
+        channel = _effective(direct, incident, reflected, response)
+        _, reached, beams = serve(system, channel, least)
+        score = reached.sum()
+        if reached.min() >= system.qos_bps:
+            score += _MORE_THAN_ANY_BPS
+        if score > best:
+            best = score
+            best_response[:] = response
+        toward = np.empty(users, np.complex128)
+        for k in range(users):
+            own = 0j
+            for m in range(beams.shape[1]):
+                own += channel[k, m] * beams[k, m]
+            # The tangent of Σ_k w_k |h_k g_k|², or that of its logarithms.
+            if iteration < _LINEAR_ITERATIONS:
+                toward[k] = raised[k] * own.conjugate()
+            else:
+                if reached[k] < system.qos_bps:
+                    raised[k] *= 2
+                toward[k] = raised[k] / own
+        _align(incident, reflected, beams, toward, response)
+    return best, best_response
+
+
+@compiled
+def _effective(
+    direct: ComplexArray, incident: ComplexArray, reflected: ComplexArray, response: ComplexArray
+) -> ComplexArray:
+    """`channel.effective_channel` [K, M]."""
+    channel = direct.copy()
+    for k in range(reflected.shape[0]):
+        for n in range(reflected.shape[1]):
+            through = reflected[k, n] * response[n]
+            for m in range(direct.shape[1]):
+                channel[k, m] += through * incident[n, m]
+    return channel
+
+
+@compiled
+def _align(
+    incident: ComplexArray, reflected: ComplexArray, beams: ComplexArray, weights: np.ndarray, response: ComplexArray
+) -> None:
+    """Turn Σ_k w_k (h_r,k)_n (G g_k)_n real for every element n, for beams g [K, M]; without any it stays as it is."""
+    for n in range(reflected.shape[1]):
+        pull = 0j
+        for k in range(reflected.shape[0]):
+            toward = 0j
+            for m in range(beams.shape[1]):
+                toward += incident[n, m] * beams[k, m]
+            pull += weights[k] * reflected[k, n] * toward
+        modulus = math.hypot(pull.real, pull.imag)
+        if modulus > 0:
+            response[n] = pull.conjugate() / modulus
+
+
+@compiled
+def _for_rank(system: System, direct: ComplexArray, weights: FloatArray, rank: int) -> FloatArray:
+    """Weights [K] for the users of one rank, and against the others, per power that they receive."""
+    gains, liked = np.empty(len(direct)), np.empty(len(direct))
+    for user in range(len(direct)):
+        gains[user] = strength(direct, user)
+    order = ascending(system, gains)
+    for v in range(len(order)):
+        for place in range(order.shape[1]):
+            user = order[v, place]
+            weight = weights[user] if place == order.shape[1] - 1 - rank else -1 / weights[user]
+            liked[user] = weight / (gains[user] if gains[user] > 0 else 1.0)
+    return liked
