@@ -227,16 +227,22 @@ def _connected(length: FloatArray, neighbours: IntArray, from_start: FloatArray)
         reached = grown
 
 
+@compiled
 def _all_pairs(neighbours: IntArray, edge_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """Shortest distances [n, n] over edges [n, 16] (R. Floyd, Algorithm 97, 1962)."""
     count = len(edge_m)
     distance = np.full((count, count), np.inf, np.float32)
-    np.minimum.at(distance, (np.arange(count)[:, None], neighbours), edge_m)
-    np.fill_diagonal(distance, 0)
-    through = np.empty_like(distance)
+    for a in range(count):
+        for way in range(neighbours.shape[1]):
+            b = neighbours[a, way]
+            distance[a, b] = min(distance[a, b], edge_m[a, way])
+        distance[a, a] = 0
     for via in range(count):
-        np.add(distance[:, via, None], distance[via], out=through)
-        np.minimum(distance, through, out=distance)
+        for a in range(count):
+            there = distance[a, via]
+            if there < np.inf:
+                for b in range(count):
+                    distance[a, b] = min(distance[a, b], there + distance[via, b])
     return distance
 
 
