@@ -23,7 +23,7 @@ from reproduction.drawing import draw
 from reproduction.path import draw_path
 from reproduction.remark import draw_remark
 from reproduction.remark import measure as measure_remark
-from reproduction.results import measure
+from reproduction.results import measure, training
 from reproduction.sensitivity import draw_sensitivity
 from reproduction.sensitivity import measure as measure_sensitivity
 
@@ -73,11 +73,12 @@ def reproduce(figures: tuple[str, ...], scale: Scale, runs: Path, out: Path) -> 
     trained = [name for name in figures if name in TRAINED]
     if trained:
         curves = [curve for name in PRESETS for figure in trained for curve in TRAINED[figure](name, scale)]
-        table = measure(curves, scale, runs)
+        table, learning = measure(curves, scale, runs), training(curves, scale, runs)
         for figure in trained:
             rows: Any = table[table["figure"] == figure]
             _write(rows.drop(columns="figure"), out / f"{figure}.csv")
-            draw(rows, figure, out / f"{figure}.png")
+            own: Any = learning[learning["figure"] == figure] if len(learning) else learning
+            draw(rows, own, figure, out / f"{figure}.png")
         claims = compare(table)
         _write(claims, out / "claims.csv")
         print(markdown(claims))

@@ -24,7 +24,7 @@ TINY = replace(
     slots=55,
     every=50,
     episodes={"office": 4, "paper": 4},
-    between={"office": 4, "paper": 4},
+    judged=4,
     elements=(4, 16),
 )
 

@@ -10,6 +10,8 @@ PRESETS = ("office", "paper")
 SCHEMES = ("noma", "oma")
 BASE = "mobile RIS"
 """The curve of a preset as it is, for one cell: NOMA, dynamic order, 16 elements, 4 antennas, 20 dBm, α = 3e-4."""
+_CHECKPOINT = 10
+"""A cell alone has no rounds; so many episodes at most are from one checkpoint to the next."""
 PANELS = {4: (2, 2), 8: (2, 4), 16: (4, 4), 32: (4, 8)}
 """Rows and columns of a panel by its number of elements."""
 
@@ -29,10 +31,10 @@ class Scale:
     """Of a cell alone, by preset."""
     federated: Mapping[str, int]
     """Of the cells of a federation, and of those that are compared with them, by preset."""
-    between: Mapping[str, int]
-    """Episodes from one judgement of a cell alone to the next, by preset."""
     rounds: Mapping[str, int]
     """Episodes between two averages of a federation, by preset."""
+    judged: int
+    """Episodes from one judgement to the next: whole rounds."""
     learning_rates: tuple[float, ...]
     elements: tuple[int, ...]
     powers_dbm: tuple[float, ...]
@@ -48,8 +50,8 @@ SCALES = {
         every=10,
         episodes={"office": 10, "paper": 10},
         federated={"office": 15, "paper": 15},
-        between={"office": 5, "paper": 5},
         rounds={"office": 5, "paper": 5},
+        judged=5,
         learning_rates=(1e-3, 3e-4, 1e-4),
         elements=(4, 8, 16, 32),
         powers_dbm=(10.0, 20.0, 30.0),
@@ -59,11 +61,11 @@ SCALES = {
         seeds=(1, 2, 3, 4, 5),
         scenes=32,
         slots=100,
-        every=5,
+        every=10,
         episodes={"office": 40, "paper": 40},
         federated={"office": 60, "paper": 80},
-        between={"office": 10, "paper": 10},
         rounds={"office": 10, "paper": 20},
+        judged=20,
         learning_rates=(1e-3, 5e-4, 3e-4, 1e-4, 1e-5),
         elements=(4, 8, 16, 32),
         powers_dbm=(10.0, 15.0, 20.0, 25.0, 30.0),
@@ -87,13 +89,10 @@ class Curve:
     bounded: bool = True
     """Whether the planner and the upper bound are drawn beside."""
 
-    def episodes(self) -> list[int]:
+    def judged(self, scale: Scale) -> list[int]:
         """The episodes after which the agents are judged."""
-        federation = self.config.federation
-        if self.x is not None:
-            return [federation.episodes]
-        ends = range(federation.round_episodes, federation.episodes, federation.round_episodes)
-        return [*ends, federation.episodes]
+        last = self.config.federation.episodes
+        return [last] if self.x is not None else [*range(scale.judged, last, scale.judged), last]
 
 
 def base(name: str, scale: Scale, *, cells: int = 1, **changes: Mapping[str, Any]) -> Config:
@@ -103,7 +102,7 @@ def base(name: str, scale: Scale, *, cells: int = 1, **changes: Mapping[str, Any
         config.federation,
         num_cells=cells,
         episodes=(scale.episodes if cells == 1 else scale.federated)[name],
-        round_episodes=(scale.between if cells == 1 else scale.rounds)[name],
+        round_episodes=min(scale.rounds[name], _CHECKPOINT) if cells == 1 else scale.rounds[name],
     )
     config = replace(config, task=replace(config.task, slots=scale.slots), federation=federation)
     return replace(config, **{key: replace(getattr(config, key), **fields) for key, fields in changes.items()})

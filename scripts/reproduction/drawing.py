@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from mjris.show.curves import student_interval
+from mjris.show.curves import running_mean, student_interval
 from reproduction.curves import BASE, PRESETS
 from reproduction.results import BOUND, PLANNER
 
@@ -51,14 +51,19 @@ CURVES = {
 SCHEMES = {"noma": ("-", "NOMA"), "oma": ("--", "OMA")}
 
 
-def draw(table: pd.DataFrame, figure: str, path: Path) -> None:
-    """Write a figure from the rows of its table."""
+def draw(table: pd.DataFrame, training: pd.DataFrame, figure: str, path: Path) -> None:
+    """Write a figure from the rows of its table and, where it is one over episodes, of `results.training`.
+
+    Judged agents are marks with 95 % intervals over seeds. Over episodes, lines are the running means of training.
+    """
     presets = [name for name in PRESETS if name in set(table["preset"])]
     with rc_context(STYLE):
-        sheet = Figure(figsize=(WIDTH_IN, 1.9 * len(presets) + 0.8), dpi=300, layout="constrained")
+        sheet = Figure(figsize=(WIDTH_IN, 2.0 * len(presets) + 0.9), dpi=300, layout="constrained")
         panels = sheet.subplots(len(presets), squeeze=False)[:, 0]
         for axes, name in zip(panels, presets, strict=True):
-            _draw_panel(axes, table[table["preset"] == name])
+            if len(training):
+                _draw_training(axes, training[training["preset"] == name])
+            _draw_judged(axes, table[table["preset"] == name], joined=not len(training))
             axes.set_title(f"{name} preset", fontsize=7)
             axes.set_ylabel("sum rate [Mb/s]")
             if figure == "elements":
@@ -69,9 +74,16 @@ def draw(table: pd.DataFrame, figure: str, path: Path) -> None:
         sheet.savefig(path)
 
 
-def _draw_panel(axes: Axes, table: Any) -> None:
+def _draw_training(axes: Axes, table: Any) -> None:
     for (name, scheme), rows in table.groupby(["curve", "scheme"], sort=False):
-        (colour, marker), (line, _) = CURVES[str(name)], SCHEMES[str(scheme)]
+        seeds = rows.pivot_table("sum_rate_mbps", "x", "seed").sort_index()
+        smooth = running_mean(seeds.to_numpy().T).mean(0)
+        axes.plot(seeds.index, smooth, color=CURVES[name][0], ls=SCHEMES[scheme][0], lw=0.9, alpha=0.8, zorder=2)
+
+
+def _draw_judged(axes: Axes, table: Any, joined: bool) -> None:
+    for (name, scheme), rows in table.groupby(["curve", "scheme"], sort=False):
+        (colour, marker), (line, _) = CURVES[name], SCHEMES[scheme]
         if name in (PLANNER, BOUND):
             style: dict[str, Any] = {"color": colour, "ls": line, "lw": 0.8, "zorder": 1}
             if rows["x"].isna().all():
@@ -79,9 +91,12 @@ def _draw_panel(axes: Axes, table: Any) -> None:
             else:
                 axes.plot(rows["x"], rows["sum_rate_mbps"], **style)
             continue
-        seeds: Any = rows.pivot_table("sum_rate_mbps", "x", "seed").sort_index()
-        axes.plot(seeds.index, seeds.mean(axis=1), color=colour, ls=line, marker=marker, ms=3, lw=1.1, zorder=3)
-        axes.fill_between(seeds.index, *student_interval(seeds.to_numpy().T), color=colour, alpha=0.2, lw=0)
+        seeds = rows.pivot_table("sum_rate_mbps", "x", "seed").sort_index()
+        mean, (low, _) = seeds.mean(axis=1), student_interval(seeds.to_numpy().T)
+        style = {"color": colour, "marker": marker, "ms": 3.5, "ls": line if joined else "", "lw": 1.1, "zorder": 3}
+        # Open marks are OMA where no line tells.
+        face = "white" if scheme == "oma" else colour
+        axes.errorbar(seeds.index, mean, yerr=mean - low, elinewidth=0.8, mfc=face, **style)
 
 
 def _legend(table: pd.DataFrame) -> list[Line2D]:

@@ -13,6 +13,7 @@ from reference_table import Study, driving
 
 from mjris.config import Config
 from mjris.learn.study import run_folder
+from mjris.show.curves import read_metric
 from reproduction.curves import Curve, Scale
 
 SCENE_SEED = 10_000
@@ -31,7 +32,7 @@ def measure(curves: Sequence[Curve], scale: Scale, runs: Path) -> pd.DataFrame:
         (curve, seed, episode, run_folder(own, runs))
         for curve in curves
         for seed, own in zip(scale.seeds, _seeded(curve, scale), strict=True)
-        for episode in curve.episodes()
+        for episode in curve.judged(scale)
     ]
     study = Study(scenes=scale.scenes, slots=scale.slots, every=scale.every, seed=SCENE_SEED)
     bounded = [curve for curve in curves if curve.bounded]
@@ -47,6 +48,18 @@ def measure(curves: Sequence[Curve], scale: Scale, runs: Path) -> pd.DataFrame:
     for curve, best in zip(bounded, scores[len(agents) :], strict=True):
         rows += [_key(curve, float("nan")) | {"curve": name, "sum_rate_mbps": best[name]} for name in (PLANNER, BOUND)]
     return pd.DataFrame(rows).drop_duplicates(ignore_index=True)
+
+
+def training(curves: Sequence[Curve], scale: Scale, runs: Path) -> pd.DataFrame:
+    """Sum rates [Mb/s] in training, with its exploration, of curves over episodes: a row for each episode and seed."""
+    rows = []
+    for curve in curves:
+        if curve.x is None:
+            episodes, rates = read_metric([run_folder(own, runs) for own in _seeded(curve, scale)], "sum_rate_mbps")
+            for seed, values in zip(scale.seeds, rates, strict=True):
+                named = _key(curve, float("nan")) | {"seed": seed}
+                rows += [named | {"x": x, "sum_rate_mbps": y} for x, y in zip(episodes, values, strict=True)]
+    return pd.DataFrame(rows)
 
 
 def rivals(config: Config, study: Study, runs: Path) -> Scores:
