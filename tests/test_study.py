@@ -55,9 +55,11 @@ def test_stacks_hold_like_runs_and_busy_all_cores():
     runs = [with_seed(base, seed) for seed in range(5)]
     assert _stacks(runs, 1) == [runs]
     assert sorted(len(stack) for stack in _stacks(runs, 2)) == [2, 3]
-    powers = [with_seed(base, seed, tx_power_dbm=30.0) for seed in range(5)]
+    powers, loud = ([with_seed(base, seed, tx_power_dbm=power) for seed in range(5)] for power in (30.0, 40.0))
     # 30 agents, at most 20 a stack.
     assert sorted(len(stack) for stack in _stacks([*runs, *powers], 1)) == [5, 5]
+    # 45 agents: two stacks for each of two cores, and not three.
+    assert sorted(len(stack) for stack in _stacks([*runs, *powers, *loud], 2)) == [3, 4, 4, 4]
     wide = [with_seed(base, seed, panel_cols=8) for seed in range(5)]
     mixed = _stacks([*runs, *wide], 1)
     assert mixed == [runs, wide]

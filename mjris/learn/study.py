@@ -72,14 +72,14 @@ def _wait(stacks: Sequence[Future[None]], queue: "SimpleQueue[int]", report: Cal
 
 
 def _stacks(configs: Sequence[Config], cores: int) -> list[list[Config]]:
-    """Configs that can share a stack, in stacks of equal sizes and about as many as there are cores, or more."""
+    """Configs that can share a stack, in stacks of about equal sizes, for every core as many."""
     alike: dict[Any, list[Config]] = {}
     for config in configs:
         alike.setdefault(_shape(config), []).append(config)
     stacks = []
     for group in alike.values():
-        most = max(1, min(_MOST_AGENTS // group[0].federation.num_cells, -(-len(configs) // cores)))
-        parts = -(-len(group) // most)
+        agents = len(group) * group[0].federation.num_cells
+        parts = min(len(group), cores * -(-agents // (cores * _MOST_AGENTS)))
         stacks += [group[part::parts] for part in range(parts)]
     return stacks
 
