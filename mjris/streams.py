@@ -27,7 +27,9 @@ class _OfCell(NamedTuple):
     """Random generators of one cell."""
 
     own: np.random.Generator
-    """Places, steps and fading of this cell."""
+    """Places and steps of this cell."""
+    fading: np.random.Generator
+    """Its own share of the fading: a stream of its own, so that arrays of any size leave places and steps as they are."""
     shared: np.random.Generator
     """The one that a run's cells share, or a copy of it where cells are not at the same place of their episodes."""
     phases: np.random.Generator
@@ -52,6 +54,7 @@ class Streams:
         self._streams = [
             _OfCell(
                 own=np.random.default_rng([seed, cell.number, 0]),
+                fading=np.random.default_rng([seed, cell.number, 3]),
                 shared=shared[seed],
                 phases=np.random.default_rng([seed, cell.number, 2]),
             )
@@ -88,5 +91,5 @@ class Streams:
         shared = drawn[[first[source] for source in sources]]
         if difference_factor == 0:
             return shared
-        own = np.stack([propagation.complex_normal(stream, (size,)) for stream in self.own(cells)])
+        own = np.stack([propagation.complex_normal(self._streams[e].fading, (size,)) for e in cells])
         return propagation.mix_cells(shared, own, difference_factor)

@@ -295,3 +295,15 @@ def test_the_panel_faces_between_access_point_and_users():
             users = np.mean([(complex(*xy) - here) / abs(complex(*xy) - here) for xy in slot.scene.users_xy[e]])
             middle = ap / abs(ap) + users / abs(users)
             assert abs(np.exp(1j * slot.scene.panel_heading[e]) - middle / abs(middle)) < 1e-9
+
+
+def test_arrays_of_any_size_leave_places_and_steps_as_they_are():
+    small, large = (
+        Simulator(config(layout="open", difference_factor=1.0, panel_cols=columns, num_antennas=antennas), cells=2)
+        for columns, antennas in ((2, 2), (8, 4))
+    )
+    for simulator in (small, large):
+        for _ in range(3):
+            parked = np.zeros((2, 2))
+            simulator.step(parked, np.zeros((2, simulator.config.radio.num_elements)), np.zeros((2, 4)))
+    np.testing.assert_array_equal(small.scene.users_xy, large.scene.users_xy)
