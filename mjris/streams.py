@@ -29,7 +29,7 @@ class _OfCell(NamedTuple):
     own: np.random.Generator
     """Places and steps of this cell."""
     fading: np.random.Generator
-    """Its own share of the fading: a stream of its own, so that arrays of any size leave places and steps as they are."""
+    """What it does not share of the fading: a stream apart, so that arrays of any size leave places and steps alone."""
     shared: np.random.Generator
     """The one that a run's cells share, or a copy of it where cells are not at the same place of their episodes."""
     phases: np.random.Generator
