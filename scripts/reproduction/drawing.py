@@ -54,7 +54,8 @@ SCHEMES = {"noma": ("-", "NOMA"), "oma": ("--", "OMA")}
 def draw(table: pd.DataFrame, training: pd.DataFrame, figure: str, path: Path) -> None:
     """Write a figure from the rows of its table and, where it is one over episodes, of `results.training`.
 
-    Judged agents are marks with 95 % intervals over seeds. Over episodes, lines are the running means of training.
+    Judged agents are marks with 95 % intervals over seeds, filled for NOMA. Faint lines are running means of training,
+    whose scenes are others.
     """
     presets = [name for name in PRESETS if name in set(table["preset"])]
     with rc_context(STYLE):
@@ -63,7 +64,7 @@ def draw(table: pd.DataFrame, training: pd.DataFrame, figure: str, path: Path) -
         for axes, name in zip(panels, presets, strict=True):
             if len(training):
                 _draw_training(axes, training[training["preset"] == name])
-            _draw_judged(axes, table[table["preset"] == name], joined=not len(training))
+            _draw_judged(axes, table[table["preset"] == name])
             axes.set_title(f"{name} preset", fontsize=7)
             axes.set_ylabel("sum rate [Mb/s]")
             if figure == "elements":
@@ -78,10 +79,10 @@ def _draw_training(axes: Axes, table: Any) -> None:
     for (name, scheme), rows in table.groupby(["curve", "scheme"], sort=False):
         seeds = rows.pivot_table("sum_rate_mbps", "x", "seed").sort_index()
         smooth = running_mean(seeds.to_numpy().T).mean(0)
-        axes.plot(seeds.index, smooth, color=CURVES[name][0], ls=SCHEMES[scheme][0], lw=0.9, alpha=0.8, zorder=2)
+        axes.plot(seeds.index, smooth, color=CURVES[name][0], ls=SCHEMES[scheme][0], lw=0.6, alpha=0.4, zorder=2)
 
 
-def _draw_judged(axes: Axes, table: Any, joined: bool) -> None:
+def _draw_judged(axes: Axes, table: Any) -> None:
     for (name, scheme), rows in table.groupby(["curve", "scheme"], sort=False):
         (colour, marker), (line, _) = CURVES[name], SCHEMES[scheme]
         if name in (PLANNER, BOUND):
@@ -93,8 +94,7 @@ def _draw_judged(axes: Axes, table: Any, joined: bool) -> None:
             continue
         seeds = rows.pivot_table("sum_rate_mbps", "x", "seed").sort_index()
         mean, (low, _) = seeds.mean(axis=1), student_interval(seeds.to_numpy().T)
-        style = {"color": colour, "marker": marker, "ms": 3.5, "ls": line if joined else "", "lw": 1.1, "zorder": 3}
-        # Open marks are OMA where no line tells.
+        style = {"color": colour, "marker": marker, "ms": 3.5, "ls": line, "lw": 1.1, "zorder": 3}
         face = "white" if scheme == "oma" else colour
         axes.errorbar(seeds.index, mean, yerr=mean - low, elinewidth=0.8, mfc=face, **style)
 
