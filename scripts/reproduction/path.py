@@ -33,12 +33,22 @@ def draw_path(scale: Scale, runs: Path, path: Path) -> None:
         panels = sheet.subplots(1, len(PRESETS), sharey=True)
         bars: dict[str, Any] = {"shrink": 0.8, "aspect": 18, "location": "bottom", "pad": 0.02}
         handles = []
-        for axes, (name, config), folder in zip(panels, configs.items(), folders, strict=True):
-            rollout, task, floor = drive(config, folder, scene, min(_SLOTS, scale.slots))
+        drives = [
+            drive(config, folder, scene, min(_SLOTS, scale.slots))
+            for config, folder in zip(configs.values(), folders, strict=True)
+        ]
+        most = max(np.nanmax(floor.place_gain_bps) for *_, floor in drives) / 1e6
+        for axes, name, (rollout, task, floor) in zip(panels, configs, drives, strict=True):
             office = task.simulator.world.office(0)
             x, y, _ = office.layout.room.size
             worth = axes.imshow(
-                floor.place_gain_bps / 1e6, origin="lower", extent=(0, x, 0, y), cmap="Greens", vmin=0, zorder=0
+                floor.place_gain_bps / 1e6,
+                origin="lower",
+                extent=(0, x, 0, y),
+                cmap="Greens",
+                vmin=0,
+                vmax=most,
+                zorder=0,
             )
             heights, handles = draw_trajectory(axes, office, rollout)
             axes.set_title(f"{name} preset", fontsize=6)
