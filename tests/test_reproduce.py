@@ -162,3 +162,10 @@ def test_headline_gains_are_of_closed_forms_in_the_same_scenes(tmp_path: Path):
     assert scores["mobile over no RIS, low"] <= scores["mobile over no RIS"] <= scores["mobile over no RIS, high"]
     assert scores["NOMA over OMA"] > 0
     assert sensitivity.headline(config, TINY, tmp_path) == scores
+
+
+def test_the_page_has_the_claims_that_were_measured():
+    docs = Path(__file__).parents[1] / "docs"
+    table = pd.read_csv(docs / "reproduction" / "claims.csv", converters={"unit": str})
+    assert claims.markdown(table) in (docs / "reproduction.md").read_text()
+    assert set(table["claim"]) == {claim.what for claim in claims.CLAIMS}
