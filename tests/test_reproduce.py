@@ -166,6 +166,6 @@ def test_headline_gains_are_of_closed_forms_in_the_same_scenes(tmp_path: Path):
 
 def test_the_page_has_the_claims_that_were_measured():
     docs = Path(__file__).parents[1] / "docs"
-    table = pd.read_csv(docs / "reproduction" / "claims.csv", converters={"unit": str})
+    table = pd.read_csv(docs / "reproduction" / "claims.csv").fillna({"unit": ""})
     assert claims.markdown(table) in (docs / "reproduction.md").read_text()
     assert set(table["claim"]) == {claim.what for claim in claims.CLAIMS}
