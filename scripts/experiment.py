@@ -9,17 +9,14 @@ interrupted or extended experiment goes on where it was. Prints what docs/learni
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import tyro
-from judging import RIVALS, agent_scores, commit, rival_scores, train
+from judging import RIVALS, agent_scores, commit, each, rival_scores, train
 from reference_table import markdown_table, number
 
 from mjris.config import Config, ConfigError, from_dict, preset
@@ -64,10 +61,8 @@ def main(study: Study) -> None:
     experiments = [read(path) for path in study.files]
     configs = [config for experiment in experiments for config in experiment.configs]
     train(configs, study.runs)
-    context = get_context("spawn")
     for path, experiment in zip(study.files, experiments, strict=True):
-        with ProcessPoolExecutor(mp_context=context) as pool:
-            table = judge(experiment, study, pool.map)
+        table = judge(experiment, study)
         table.insert(0, "commit", commit())
         table.to_csv(path.with_suffix(".csv"), index=False, float_format="%.6g")
         draw(experiment, table, path.with_suffix(".png"))
@@ -91,8 +86,8 @@ def read(path: Path) -> Experiment:
     return Experiment(path.stem, what, config, seeds, judged)
 
 
-def judge(experiment: Experiment, study: Study, each: Any) -> pd.DataFrame:
-    """A row for every rival, and for every seed, cell and episode to be judged; `each` maps, perhaps in parallel.
+def judge(experiment: Experiment, study: Study) -> pd.DataFrame:
+    """A row for every rival, and for every seed, cell and episode to be judged.
 
     Averaged agents are the same in all cells, so that one of them is judged.
     """
@@ -104,14 +99,21 @@ def judge(experiment: Experiment, study: Study, each: Any) -> pd.DataFrame:
         for episode in experiment.judged
         for cell in range(cells)
     ]
-    scenes = {"scenes": study.scenes, "seed": study.scene_seed}
-    rows = each(partial(rival_scores, config, folder=study.runs, **scenes), RIVALS)
-    rivals = [{"policy": name} | row for name, row in zip(RIVALS, rows, strict=True)]
-    rows = each(partial(agent_scores, **scenes), *zip(*agents, strict=True))
+    scenes = study.scenes, study.scene_seed
+    scores = each(
+        [
+            *((rival_scores, config, name, study.runs, *scenes) for name in RIVALS),
+            *((agent_scores, *agent, *scenes) for agent in agents),
+        ]
+    )
+    rivals = [{"policy": name} | row for name, row in zip(RIVALS, scores[: len(RIVALS)], strict=True)]
     judged = [
         {"policy": "learned", "seed": int(seed), "cell": cell, "episode": episode} | row
         for (_, episode, cell), seed, row in zip(
-            agents, np.repeat(experiment.seeds, len(agents) // len(experiment.seeds)), rows, strict=True
+            agents,
+            np.repeat(experiment.seeds, len(agents) // len(experiment.seeds)),
+            scores[len(RIVALS) :],
+            strict=True,
         )
     ]
     table = pd.DataFrame(rivals + judged)

@@ -3,9 +3,13 @@
 import json
 import subprocess
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
+import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mjris.config import Config, load, preset
@@ -19,6 +23,8 @@ RIVALS = ("planner", "closed forms", "fixed RIS", "no RIS")
 driving, and the best powers known without RIS."""
 
 Scores = dict[str, float]
+Job = tuple[Any, ...]
+"""A function that gives scores, importable by name, and its arguments."""
 
 
 def progress() -> Progress:
@@ -34,7 +40,7 @@ def train(configs: Sequence[Config], folder: Path) -> list[Path]:
         return train_missing(configs, folder, report=lambda done, total: shown.update(bar, completed=done, total=total))
 
 
-def agent_scores(run: Path, episode: int, cell: int, *, scenes: int, seed: int) -> Scores:
+def agent_scores(run: Path, episode: int, cell: int, scenes: int, seed: int) -> Scores:
     """How the agent of a cell of a run did after an episode, the last of a round."""
 
     def judge() -> Scores:
@@ -46,7 +52,7 @@ def agent_scores(run: Path, episode: int, cell: int, *, scenes: int, seed: int) 
     return kept(run / "judged" / f"learned_episode_{episode:04d}_cell_{cell}_{scenes}_{seed}.json", judge)
 
 
-def rival_scores(config: Config, name: str, folder: Path, *, scenes: int, seed: int) -> Scores:
+def rival_scores(config: Config, name: str, folder: Path, scenes: int, seed: int) -> Scores:
     """How one of `RIVALS` does."""
 
     def judge() -> Scores:
@@ -74,6 +80,17 @@ def kept(path: Path, judge: Callable[[], Scores]) -> Scores:
         unfinished.write_text(text)
         unfinished.rename(path)
     return json.loads(path.read_text())
+
+
+def each(jobs: Sequence[Job]) -> list[Scores]:
+    """The scores of all jobs, in order and in parallel, with a bar; equal jobs are done once."""
+    pool = ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,))
+    with progress() as shown, pool:
+        bar = shown.add_task("judgements", total=len(set(jobs)))
+        futures = {job: pool.submit(job[0], *job[1:]) for job in dict.fromkeys(jobs)}
+        for future in futures.values():
+            future.add_done_callback(lambda _: shown.advance(bar))
+        return [futures[job].result() for job in jobs]
 
 
 def commit() -> str:

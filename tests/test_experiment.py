@@ -38,7 +38,7 @@ averaging = false
 
 
 def test_an_experiment_is_trained_judged_and_drawn_once(tmp_path: Path, monkeypatch, capsys):
-    monkeypatch.setattr(experiment, "ProcessPoolExecutor", lambda mp_context: ThreadPoolExecutor(1))  # noqa: ARG005
+    monkeypatch.setattr("judging.ProcessPoolExecutor", lambda **_: ThreadPoolExecutor(1))
     path = tmp_path / "tiny.toml"
     path.write_text(TINY)
     study = experiment.Study(files=(path,), runs=tmp_path / "runs", scenes=2, scene_seed=7)

@@ -158,10 +158,10 @@ def test_the_sensitivity_changes_one_parameter_at_a_time(tmp_path: Path):
 
 def test_headline_gains_are_of_closed_forms_in_the_same_scenes(tmp_path: Path):
     config = sensitivity.variants(TINY, tmp_path)[0].config
-    scores = sensitivity.headline(config, TINY, tmp_path)
+    scores = sensitivity.headline(config, TINY.scenes, tmp_path)
     assert scores["mobile over no RIS, low"] <= scores["mobile over no RIS"] <= scores["mobile over no RIS, high"]
     assert scores["NOMA over OMA"] > 0
-    assert sensitivity.headline(config, TINY, tmp_path) == scores
+    assert sensitivity.headline(config, TINY.scenes, tmp_path) == scores
 
 
 def test_the_page_has_the_claims_that_were_measured():

@@ -12,6 +12,8 @@ BASE = "mobile RIS"
 """The curve of a preset as it is, for one cell: NOMA, dynamic order, 16 elements, 4 antennas, 20 dBm, α = 3e-4."""
 _CHECKPOINT = 10
 """A cell alone has no rounds; so many episodes at most are from one checkpoint to the next."""
+DIFFERENCES = (0.0, 0.5, 1.0)
+"""Difference factors."""
 PANELS = {4: (2, 2), 8: (2, 4), 16: (4, 4), 32: (4, 8)}
 """Rows and columns of a panel by its number of elements."""
 
@@ -38,8 +40,6 @@ class Scale:
     learning_rates: tuple[float, ...]
     elements: tuple[int, ...]
     powers_dbm: tuple[float, ...]
-    differences: tuple[float, ...]
-    """Difference factors."""
 
 
 SCALES = {
@@ -55,7 +55,6 @@ SCALES = {
         learning_rates=(1e-3, 3e-4, 1e-4),
         elements=(4, 8, 16, 32),
         powers_dbm=(10.0, 20.0, 30.0),
-        differences=(0.0, 0.5, 1.0),
     ),
     "full": Scale(
         seeds=(1, 2, 3, 4, 5),
@@ -69,7 +68,6 @@ SCALES = {
         learning_rates=(1e-3, 5e-4, 3e-4, 1e-4, 1e-5),
         elements=(4, 8, 16, 32),
         powers_dbm=(10.0, 15.0, 20.0, 25.0, 30.0),
-        differences=(0.0, 0.5, 1.0),
     ),
 }
 
@@ -111,13 +109,7 @@ def base(name: str, scale: Scale, *, cells: int = 1, **changes: Mapping[str, Any
 def learning_rate(name: str, scale: Scale) -> list[Curve]:
     """Throughput over episodes for several learning rates."""
     return [
-        Curve(
-            figure="learning_rate",
-            preset=name,
-            name=f"α = {rate:g}",
-            scheme=scheme,
-            config=base(name, scale, agent={"learning_rate": rate}, radio={"scheme": scheme}),
-        )
+        _curve("learning_rate", name, f"α = {rate:g}", scheme, scale, agent={"learning_rate": rate})
         for rate in scale.learning_rates
         for scheme in SCHEMES
     ]
@@ -125,35 +117,26 @@ def learning_rate(name: str, scale: Scale) -> list[Curve]:
 
 def elements(name: str, scale: Scale) -> list[Curve]:
     """Sum rate over the number of reflecting elements."""
+    sides = {number: dict(zip(("panel_rows", "panel_cols"), PANELS[number], strict=True)) for number in scale.elements}
     return [
-        Curve(
-            figure="elements",
-            preset=name,
-            name=BASE,
-            scheme=scheme,
-            x=number,
-            config=base(
-                name,
-                scale,
-                radio={"panel_rows": PANELS[number][0], "panel_cols": PANELS[number][1], "scheme": scheme},
-            ),
-        )
-        for number in scale.elements
+        _curve("elements", name, BASE, scheme, scale, x=number, radio=panel)
+        for number, panel in sides.items()
         for scheme in SCHEMES
     ]
 
 
 def power(name: str, scale: Scale) -> list[Curve]:
-    """Sum rate over the AP's power, for two and four antennas."""
+    """Sum rate over the AP's power, for two and four antennas; the planner and the bound are those of four."""
     return [
-        Curve(
-            figure="power",
-            preset=name,
-            name=f"M = {antennas}",
-            scheme=scheme,
+        _curve(
+            "power",
+            name,
+            f"M = {antennas}",
+            scheme,
+            scale,
             x=power_dbm,
             bounded=antennas == 4,
-            config=base(name, scale, radio={"num_antennas": antennas, "tx_power_dbm": power_dbm, "scheme": scheme}),
+            radio={"num_antennas": antennas, "tx_power_dbm": power_dbm},
         )
         for antennas in (4, 2)
         for power_dbm in scale.powers_dbm
@@ -163,40 +146,54 @@ def power(name: str, scale: Scale) -> list[Curve]:
 
 def gain(name: str, scale: Scale) -> list[Curve]:
     """Throughput over episodes with each component taken away: every agent learns with what it is judged with."""
-    cases: dict[str, dict[str, Any]] = {
-        BASE: {},
-        "static order": {"radio": {"decoding_order": "static"}},
-        "fixed RIS": {"task": {"ris": "fixed"}},
-        "random phases": {"task": {"phases": "random"}},
-        "no RIS": {"task": {"ris": "none"}},
-    }
-    curves = _curves("gain", name, {case: base(name, scale, **changes) for case, changes in cases.items()})
-    oma = base(name, scale, radio={"scheme": "oma"})
-    return [*curves, Curve(figure="gain", preset=name, name=BASE, scheme="oma", config=oma)]
+    cases: list[tuple[str, str, dict[str, Any]]] = [
+        (BASE, "noma", {}),
+        ("static order", "noma", {"radio": {"decoding_order": "static"}}),
+        ("fixed RIS", "noma", {"task": {"ris": "fixed"}}),
+        ("random phases", "noma", {"task": {"phases": "random"}}),
+        ("no RIS", "noma", {"task": {"ris": "none"}}),
+        (BASE, "oma", {}),
+    ]
+    return [_curve("gain", name, case, scheme, scale, **changes) for case, scheme, changes in cases]
 
 
 def difference_factor(name: str, scale: Scale) -> list[Curve]:
     """Federations whose cells fade more or less alike, and a cell alone for as many episodes."""
-    cases = {
-        f"DF = {factor:g}": base(name, scale, cells=3, radio={"difference_factor": factor})
-        for factor in scale.differences
-    }
-    return _curves("difference_factor", name, {**cases, "one cell": _alone(name, scale)})
+    together = [
+        _curve("difference_factor", name, f"DF = {factor:g}", "noma", scale, 3, radio={"difference_factor": factor})
+        for factor in DIFFERENCES
+    ]
+    return [*together, _alone("difference_factor", name, scale)]
 
 
 def federation(name: str, scale: Scale) -> list[Curve]:
     """Agents with and without federation."""
-    return _curves("federation", name, {"federation": base(name, scale, cells=3), "one cell": _alone(name, scale)})
+    return [_curve("federation", name, "federation", "noma", scale, 3), _alone("federation", name, scale)]
 
 
-def _curves(figure: str, name: str, cases: Mapping[str, Config]) -> list[Curve]:
-    """Lines of NOMA over episodes, by their names."""
-    return [Curve(figure=figure, preset=name, name=case, scheme="noma", config=own) for case, own in cases.items()]
+def _curve(
+    figure: str,
+    name: str,
+    case: str,
+    scheme: str,
+    scale: Scale,
+    cells: int = 1,
+    *,
+    x: float | None = None,
+    bounded: bool = True,
+    **changes: Mapping[str, Any],
+) -> Curve:
+    """A curve of `base` with a scheme and other changes."""
+    changes["radio"] = {**changes.get("radio", {}), "scheme": scheme}
+    config = base(name, scale, cells=cells, **changes)
+    return Curve(figure=figure, preset=name, name=case, scheme=scheme, config=config, x=x, bounded=bounded)
 
 
-def _alone(name: str, scale: Scale) -> Config:
-    config = base(name, scale)
-    return replace(config, federation=replace(config.federation, episodes=scale.federated[name]))
+def _alone(figure: str, name: str, scale: Scale) -> Curve:
+    """One cell for as many episodes as those of a federation."""
+    curve = _curve(figure, name, "one cell", "noma", scale)
+    longer = replace(curve.config.federation, episodes=scale.federated[name])
+    return replace(curve, config=replace(curve.config, federation=longer))
 
 
 TRAINED: dict[str, Callable[[str, Scale], list[Curve]]] = {

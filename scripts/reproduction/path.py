@@ -1,5 +1,6 @@
 """The way of the robot: the trained agents of both presets in one held-out scene, over the radio map."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from mjris.eval.floormap import FloorMap, floor_map
 from mjris.learn.policy import load_policy
 from mjris.show.rollout import Rollout, record
 from mjris.show.trajectory import HEIGHTS_LABEL, draw_trajectory
+from mjris.streams import CellId
 from mjris.task import Task
 from reproduction.curves import PRESETS, Scale, base
 from reproduction.drawing import STYLE, WIDTH_IN
@@ -63,18 +65,21 @@ def draw_path(scale: Scale, runs: Path, path: Path) -> None:
 
 def shadowed_scene(config: Config, scenes: int) -> int:
     """The number of the first of the held-out scenes in which most users begin without line of sight to the AP."""
-    hidden = []
-    for scene in range(scenes):
-        task = Task(config)
-        task.reset(SCENE_SEED + scene)
-        hidden.append((task.simulator.scene.blockers[0, : config.world.num_users] > 0).sum())
-    return int(np.argmax(hidden))
+    task = _scenes(config, range(scenes))
+    return int((task.simulator.scene.blockers[:, : config.world.num_users] > 0).sum(1).argmax())
 
 
 def drive(config: Config, run: Path, scene: int, slots: int) -> tuple[Rollout, Task, FloorMap]:
     """An episode of a run's agent, and the floor as it begins."""
-    agent, task = load_policy(run), Task(config)
-    task.reset(SCENE_SEED + scene)
+    agent, task = load_policy(run), _scenes(config, [scene])
     floor = floor_map(task.simulator, resolution_m=0.5)
-    rollout = record(task, lambda seen: agent.predict(seen, deterministic=True)[0], slots, SCENE_SEED + scene)
+    rollout = record(task, lambda seen: agent.predict(seen, deterministic=True)[0], slots, SCENE_SEED)
     return rollout, task, floor
+
+
+def _scenes(config: Config, numbers: Sequence[int]) -> Task:
+    """Scenes that agents are judged on, as `eval.evaluate.play` begins them."""
+    radio = replace(config.radio, difference_factor=1.0)
+    task = Task(replace(config, radio=radio), [CellId(config.seed, number) for number in numbers])
+    task.reset(SCENE_SEED)
+    return task

@@ -1,14 +1,11 @@
 """From curves to a table: missing agents trained, all judged on the same scenes, with the planner and the bound."""
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import pandas as pd
-import torch
-from judging import Scores, agent_scores, kept, progress, rival_file, train
+from judging import Job, Scores, agent_scores, each, kept, rival_file, train
 from reference_table import Study, driving
 
 from mjris.config import Config
@@ -36,14 +33,12 @@ def measure(curves: Sequence[Curve], scale: Scale, runs: Path) -> pd.DataFrame:
     ]
     study = Study(scenes=scale.scenes, slots=scale.slots, every=scale.every, seed=SCENE_SEED)
     bounded = [curve for curve in curves if curve.bounded]
-    jobs: list[tuple[Callable[..., Scores], tuple[object, ...]]] = [
-        *((_judge, (run, episode, scale.scenes)) for _, _, episode, run in agents),
-        *((rivals, (curve.config, study, runs)) for curve in bounded),
-    ]
-    scores = _each(jobs)
+    # Averaged agents are the same in all cells, so that the first one's is judged.
+    jobs: list[Job] = [(agent_scores, run, episode, 0, scale.scenes, SCENE_SEED) for _, _, episode, run in agents]
+    scores = each([*jobs, *((rivals, curve.config, study, runs) for curve in bounded)])
     rows = [
         _key(curve, episode) | {"seed": seed} | row
-        for (curve, seed, episode, _), row in zip(agents, scores, strict=False)
+        for (curve, seed, episode, _), row in zip(agents, scores[: len(agents)], strict=True)
     ]
     for curve, best in zip(bounded, scores[len(agents) :], strict=True):
         rows += [_key(curve, float("nan")) | {"curve": name, "sum_rate_mbps": best[name]} for name in (PLANNER, BOUND)]
@@ -57,8 +52,10 @@ def training(curves: Sequence[Curve], scale: Scale, runs: Path) -> pd.DataFrame:
         if curve.x is None:
             episodes, rates = read_metric([run_folder(own, runs) for own in _seeded(curve, scale)], "sum_rate_mbps")
             for seed, values in zip(scale.seeds, rates, strict=True):
-                named = _key(curve, float("nan")) | {"seed": seed}
-                rows += [named | {"x": x, "sum_rate_mbps": y} for x, y in zip(episodes, values, strict=True)]
+                rows += [
+                    _key(curve, episode) | {"seed": seed, "sum_rate_mbps": rate}
+                    for episode, rate in zip(episodes, values, strict=True)
+                ]
     return pd.DataFrame(rows)
 
 
@@ -83,19 +80,3 @@ def _seeded(curve: Curve, scale: Scale) -> list[Config]:
 def _key(curve: Curve, episode: float) -> dict[str, object]:
     x = episode if curve.x is None else curve.x
     return {"figure": curve.figure, "preset": curve.preset, "curve": curve.name, "scheme": curve.scheme, "x": x}
-
-
-def _judge(run: Path, episode: int, scenes: int) -> Scores:
-    """Averaged agents are the same in all cells, so that one of them is judged."""
-    return agent_scores(run, episode, 0, scenes=scenes, seed=SCENE_SEED)
-
-
-def _each(jobs: Sequence[tuple[Callable[..., Scores], tuple[object, ...]]]) -> list[Scores]:
-    """The scores of all jobs, in order; equal jobs are done once."""
-    pool = ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,))
-    with progress() as shown, pool:
-        bar = shown.add_task("judgements", total=len(set(jobs)))
-        futures = {job: pool.submit(job[0], *job[1]) for job in dict.fromkeys(jobs)}
-        for future in futures.values():
-            future.add_done_callback(lambda _: shown.advance(bar))
-        return [futures[job].result() for job in jobs]

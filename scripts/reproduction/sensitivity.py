@@ -2,17 +2,13 @@
 
 import re
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import torch
-from judging import Scores, agent_scores, kept, progress, rival_file, train
+from judging import Scores, agent_scores, each, kept, rival_file, train
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
@@ -93,36 +89,31 @@ def measure(scale: Scale, runs: Path) -> pd.DataFrame:
     trained = discounts(scale)
     seeded = [[replace(variant.config, seed=seed) for seed in scale.seeds] for variant in trained]
     train([config for configs in seeded for config in configs], runs)
-    with (
-        progress() as shown,
-        ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,)) as pool,
-    ):
-        bar = shown.add_task("sensitivity", total=len(plain))
-        scores = []
-        for row in pool.map(partial(headline, scale=scale, runs=runs), [variant.config for variant in plain]):
-            scores.append(row)
-            shown.advance(bar)
-        rows = [
-            {"parameter": variant.parameter, "value": variant.value, "gain": gain, "percent": row[gain]}
-            | {end: row[f"{gain}, {end}"] for end in ("low", "high")}
-            for variant, row in zip(plain, scores, strict=True)
-            for gain in GAINS
+    judged = [
+        [
+            (agent_scores, run_folder(own, runs), variant.config.federation.episodes, 0, scale.scenes, SCENE_SEED)
+            for own in configs
         ]
-        judge = partial(agent_scores, scenes=scale.scenes, seed=SCENE_SEED)
-        for variant, configs in zip(trained, seeded, strict=True):
-            folders = [run_folder(config, runs) for config in configs]
-            judged = pool.map(judge, folders, [variant.config.federation.episodes] * len(folders), [0] * len(folders))
-            rates = np.array([row["sum_rate_mbps"] for row in judged])
-            gains = 100 * (rates / scores[0]["no RIS"] - 1)
-            low, high = student_interval(gains)
-            rows.append(
-                {"parameter": variant.parameter, "value": variant.value, "gain": "mobile over no RIS"}
-                | {"percent": gains.mean(), "low": low, "high": high}
-            )
+        for variant, configs in zip(trained, seeded, strict=True)
+    ]
+    scores = each([(headline, variant.config, scale.scenes, runs) for variant in plain])
+    rows = [
+        {"parameter": variant.parameter, "value": variant.value, "gain": gain, "percent": row[gain]}
+        | {end: row[f"{gain}, {end}"] for end in ("low", "high")}
+        for variant, row in zip(plain, scores, strict=True)
+        for gain in GAINS
+    ]
+    for variant, jobs in zip(trained, judged, strict=True):
+        gains = 100 * (np.array([row["sum_rate_mbps"] for row in each(jobs)]) / scores[0]["no RIS"] - 1)
+        low, high = student_interval(gains)
+        rows.append(
+            {"parameter": variant.parameter, "value": variant.value, "gain": "mobile over no RIS"}
+            | {"percent": gains.mean(), "low": low, "high": high}
+        )
     return pd.DataFrame(rows)
 
 
-def headline(config: Config, scale: Scale, runs: Path) -> Scores:
+def headline(config: Config, scenes: int, runs: Path) -> Scores:
     """The gains of `GAINS` [%] with 95 % intervals over scenes, and the sum rate without RIS [Mb/s]."""
 
     def judge() -> Scores:
@@ -137,7 +128,7 @@ def headline(config: Config, scale: Scale, runs: Path) -> Scores:
         ):
             policy = replace(closed, changes={**closed.changes, "ris": ris})
             own = replace(config, radio=replace(config.radio, scheme=scheme))
-            rates[name] = play(own, policy, scale.scenes, SCENE_SEED).sum_rate_bps
+            rates[name] = play(own, policy, scenes, SCENE_SEED).sum_rate_bps
         pairs = dict(zip(GAINS, (("mobile", "none"), ("fixed", "none"), ("mobile", "OMA")), strict=True))
         scores: Scores = {"no RIS": rates["none"].mean() / 1e6}
         for gain, (one, other) in pairs.items():
@@ -146,7 +137,7 @@ def headline(config: Config, scale: Scale, runs: Path) -> Scores:
             scores |= {f"{gain}, low": low, f"{gain}, high": high}
         return scores
 
-    return kept(rival_file(config, runs, f"headline_{scale.scenes}_{SCENE_SEED}"), judge)
+    return kept(rival_file(config, runs, f"headline_{scenes}_{SCENE_SEED}"), judge)
 
 
 def draw_sensitivity(table: pd.DataFrame, path: Path) -> None:
