@@ -1,98 +1,79 @@
 """The radio map: what a place is worth to the RIS, predicted from the layout and where the users stand."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjris.compiled import compiled
 from mjris.radio import links, prediction, propagation
+from mjris.radio.serving import System
 from mjris.simulator import Simulator
+from mjris.world.sightmap import Grid, square
 
 FloatArray = NDArray[np.floating]
-IntArray = NDArray[np.int64]
-
-_CHUNK = 4096
-"""Places of all cells that are predicted together, which bounds the memory."""
+BoolArray = NDArray[np.bool_]
+SmallArray = NDArray[np.int8]
 
 
-def link_gains(simulator: Simulator, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Power gains of AP–RIS [E, P] and RIS–users [E, P, K] for panels at `places` [E, P, 2] [m], patterns included.
+class _Floor(NamedTuple):
+    """What predictions for places of E cells follow from."""
+
+    medium: links.Medium
+    system: System
+    arrays: prediction.Arrays
+    grid: Grid
+    ends: FloatArray
+    """Users and, last, AP [E, K + 1, 3] [m]."""
+    blockers: SmallArray
+    """Obstacles from there to the squares of the grid [E, K + 1, s]."""
+    direct: FloatArray
+    """Power gains of the links AP–users [E, K]."""
+    panel_height_m: float
+    qos_penalty: float
+    """λ of eq. (R)."""
+
+
+def _floor(simulator: Simulator) -> _Floor:
+    """What predictions for the present scene follow from."""
+    config, world = simulator.config, simulator.world
+    receivers = world.receivers()
+    return _Floor(
+        simulator.medium,
+        simulator.system,
+        prediction.Arrays.of(config.radio),
+        world.sight_map.grid,
+        np.concatenate([receivers, simulator.ap_position[:, None]], 1),
+        world.sight_map.blockers(world.crowd.xy),
+        _direct_gains(simulator),
+        world.config.panel_height_m,
+        config.task.qos_penalty,
+    )
+
+
+def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
+    """Predicted sum rate with the QoS penalty, [E, P] [bit/s], with the RIS at `places` [E, P, 2] [m].
 
     Obstacles are those of the `sight_map`, distances exact. The panel faces the bisector of AP and users, as the pan
     motor would turn it.
     """
-    radio, world = simulator.config.radio, simulator.world
-    receivers = world.receivers()
-    ends = np.concatenate([receivers, simulator.ap_position[:, None]], 1)
-    places = np.ascontiguousarray(places)
-    return _gains(
-        links.Medium.of(radio),
-        ends,
-        places,
-        world.config.panel_height_m,
-        simulator.bisector(places),
-        world.sight_map.between(receivers[..., :2], places),
-        world.sight_map.from_ap(places),
-    )
-
-
-@compiled
-def _gains(
-    medium: links.Medium,
-    ends: FloatArray,
-    places: FloatArray,
-    height_m: float,
-    headings: FloatArray,
-    users_blockers: IntArray,
-    ap_blockers: IntArray,
-) -> tuple[FloatArray, FloatArray]:
-    """`link_gains` for users and AP at `ends` [E, K + 1, 3] [m], panels that face `headings` [E, P] and blockers."""
-    users = ends.shape[1] - 1
-    incident, reflected = np.empty(headings.shape), np.empty((*headings.shape, users))
-    for e in range(headings.shape[0]):
-        for p in range(headings.shape[1]):
-            forward_x, forward_y = math.cos(headings[e, p]), math.sin(headings[e, p])
-            for end in range(users + 1):
-                x, y = ends[e, end, 0] - places[e, p, 0], ends[e, end, 1] - places[e, p, 1]
-                distance = math.sqrt(x * x + y * y + (ends[e, end, 2] - height_m) ** 2)
-                cosine = (forward_x * x + forward_y * y) / max(distance, 1e-12)
-                blockers = users_blockers[e, p, end] if end < users else ap_blockers[e, p]
-                loss_db = links.path_loss_db(medium, distance, blockers)
-                gain = 10.0 ** (-loss_db / 10) * links.pattern_gain(medium, cosine)
-                if end < users:
-                    reflected[e, p, end] = gain
-                else:
-                    incident[e, p] = gain
-    return incident, reflected
-
-
-def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
-    """Predicted sum rate with the QoS penalty, [E, P] [bit/s], with the RIS at `places` [E, P, 2] [m]."""
-    return _values(simulator, *link_gains(simulator, places))
+    return _values(_floor(simulator), np.ascontiguousarray(places), np.ones(places.shape[:2], np.bool_))
 
 
 def bare_values(simulator: Simulator) -> FloatArray:
     """The same prediction without RIS, [E] [bit/s]."""
-    nothing = np.zeros((simulator.num_cells, 1, simulator.config.world.num_users))
-    return _values(simulator, nothing[..., 0], nothing)[:, 0]
-
-
-def _values(simulator: Simulator, incident: FloatArray, reflected: FloatArray) -> FloatArray:
-    config = simulator.config
-    direct = propagation.db_to_linear(-simulator.scene.path_loss_db[:, None, : config.world.num_users])
-    direct = np.broadcast_to(direct, reflected.shape)
-    rates = prediction.predicted_rates(
-        direct, incident, reflected, simulator.clusters, config.radio, config.task.qos_bps
-    )
-    return penalised(rates, config.task.qos_bps, config.task.qos_penalty)
+    config, direct = simulator.config, _direct_gains(simulator)
+    nothing, qos_bps = np.zeros_like(direct), config.task.qos_bps
+    rates = prediction.predicted_rates(direct, nothing[:, 0], nothing, simulator.clusters, config.radio, qos_bps)
+    return penalised(rates, qos_bps, config.task.qos_penalty)
 
 
 def node_values(simulator: Simulator) -> FloatArray:
     """`place_values` [E, n] [bit/s] at the nodes of `World.paths`, -inf where unreachable."""
     paths = simulator.world.paths
-    places = np.broadcast_to(paths.nodes, (simulator.num_cells, *paths.nodes.shape))
-    return np.where(paths.reachable, _in_chunks(simulator, places), -np.inf)
+    reachable = np.resize(paths.reachable, (simulator.num_cells, len(paths.nodes)))
+    return _values(_floor(simulator), paths.nodes[None], reachable)
 
 
 def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArray, FloatArray]:
@@ -105,26 +86,89 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
     here = world.fleet.xy
     horizon_m = horizon_slots * world.config.max_speed_mps * world.config.slot_s
     way_m = paths.distance_to_nodes(here)
-    within = way_m < horizon_m
-    # Only what can be reached by then is valued: as many nodes in every cell as in the one that has most.
-    near = np.argsort(~within, axis=1, kind="stable")[:, : within.sum(1).max()]
-    predicted = _in_chunks(simulator, np.concatenate([here[:, None], paths.nodes[near]], 1))
-    present, values = predicted[:, 0], np.zeros(way_m.shape)
-    np.put_along_axis(values, near, predicted[:, 1:], 1)
-    staying = np.maximum(horizon_m - way_m, 0) * values
+    # Only what can be reached by then is valued.
+    within, ground = way_m < horizon_m, _floor(simulator)
+    present = _values(ground, here[:, None], np.ones((len(here), 1), np.bool_))[:, 0]
+    values = _values(ground, paths.nodes[None], within)
+    staying = np.maximum(horizon_m - way_m, 0) * np.where(within, values, 0)
     total = np.where(within, paths.along(way_m, present, values, horizon_m) + staying, -np.inf)
-    stay = horizon_m * present >= total.max(1)
-    goal = np.where(stay[:, None], here, paths.nodes[total.argmax(1)])
-    return goal, np.maximum(horizon_m * present, total.max(1)) / horizon_m
-
-
-def _in_chunks(simulator: Simulator, places: FloatArray) -> FloatArray:
-    """`place_values`, of some of the places at a time."""
-    parts = np.array_split(places, max(1, places.shape[0] * places.shape[1] // _CHUNK), axis=1)
-    return np.concatenate([place_values(simulator, part) for part in parts], 1)
+    best = total.argmax(1)
+    most, stay_total = total[np.arange(len(best)), best], horizon_m * present
+    goal = np.where((stay_total >= most)[:, None], here, paths.nodes[best])
+    return goal, np.maximum(stay_total, most) / horizon_m
 
 
 def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArray:
     """Sum rate [...] of rates [..., K] [bit/s], divided by λ where any user misses QoS, eq. (R)."""
-    total = rates_bps.sum(-1)
-    return np.where((rates_bps >= qos_bps).all(-1), total, total / penalty)
+    flat = np.ascontiguousarray(rates_bps).reshape(-1, rates_bps.shape[-1])
+    return _all_penalised(flat, qos_bps, penalty).reshape(rates_bps.shape[:-1])
+
+
+def _direct_gains(simulator: Simulator) -> FloatArray:
+    return propagation.db_to_linear(-simulator.scene.path_loss_db[:, : simulator.config.world.num_users])
+
+
+@compiled
+def _values(ground: _Floor, places: FloatArray, wanted: BoolArray) -> FloatArray:
+    """Values [E, P] [bit/s] of those `places` [E or 1, P, 2] [m] that are wanted [E, P], -inf of the others."""
+    values = np.full(wanted.shape, -np.inf)
+    medium, grid = ground.medium, ground.grid
+    work, reflected = prediction.workspace(ground.system), np.empty(ground.direct.shape[1])
+    for e in range(wanted.shape[0]):
+        here, ends, blockers, direct = places[e % len(places)], ground.ends[e], ground.blockers[e], ground.direct[e]
+        for p in range(wanted.shape[1]):
+            if wanted[e, p]:
+                x, y = here[p, 0], here[p, 1]
+                incident = _link_gains(medium, grid, ground.panel_height_m, ends, blockers, x, y, reflected)
+                prediction.predict(ground.system, ground.arrays, direct, incident, reflected, work)
+                values[e, p] = _penalised(work.rates, ground.system.qos_bps, ground.qos_penalty)
+    return values
+
+
+@compiled
+def _link_gains(
+    medium: links.Medium,
+    grid: Grid,
+    height_m: float,
+    ends: FloatArray,
+    blockers: SmallArray,
+    x: float,
+    y: float,
+    reflected: FloatArray,
+) -> float:
+    """The power gain AP–RIS of a panel at a place, patterns included; writes those of RIS–users to `reflected` [K].
+
+    Its centre is `height_m` above the floor; `ends` [K + 1, 3] and `blockers` [K + 1, s] are a cell's part of those in
+    `_Floor`.
+    """
+    here, incident = square(grid, x, y), 0.0
+    forward_x, forward_y = links.bisector(ends, x, y)
+    facing = forward_x * forward_x + forward_y * forward_y
+    for end in range(len(ends)):
+        to_x, to_y, to_z = ends[end, 0] - x, ends[end, 1] - y, ends[end, 2] - height_m
+        squared = to_x * to_x + to_y * to_y + to_z * to_z
+        cosine = (forward_x * to_x + forward_y * to_y) / math.sqrt(max(squared * facing, 1e-24))
+        gain = links.path_gain(medium, squared, blockers[end, here])
+        gain *= links.pattern_gain(medium, cosine)
+        if end < len(reflected):
+            reflected[end] = gain
+        else:
+            incident = gain
+    return incident
+
+
+@compiled
+def _all_penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArray:
+    values = np.empty(len(rates_bps))
+    for row in range(len(values)):
+        values[row] = _penalised(rates_bps[row], qos_bps, penalty)
+    return values
+
+
+@compiled
+def _penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> float:
+    """`penalised` for one slot's rates [K]."""
+    total, least = 0.0, np.inf
+    for rate in rates_bps:
+        total, least = total + rate, min(least, rate)
+    return total / (penalty if least < qos_bps else 1.0)

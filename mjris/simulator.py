@@ -90,12 +90,14 @@ class Simulator:
         k, m, n = config.world.num_users, radio.num_antennas, radio.num_elements
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
-        self._system = serving.System.of(radio, self.clusters, config.task.qos_bps)
-        self._medium = links.Medium.of(radio)
+        self.system = serving.System.of(radio, self.clusters, config.task.qos_bps)
+        self.medium = links.Medium.of(radio)
+        """What the compiled radio needs of the config."""
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
-        self._room_m = np.array([self.world.office(e).layout.room.size[:2] for e in range(num_cells)])
+        self.room_m = np.array([self.world.office(e).layout.room.size[:2] for e in range(num_cells)])
+        """Sizes of the rooms [E, 2] [m]."""
         axes = np.stack([self.world.office(e).ap_axis for e in range(num_cells)])
         self._antennas = channel.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
         self._own_person = np.array([*range(k), *range(k), -1])
@@ -162,7 +164,7 @@ class Simulator:
                 self.clusters,
                 rover_xy=self.scene.rover_xy,
                 hull_radius_m=self.world.hull_radius_m,
-                room_m=self._room_m,
+                room_m=self.room_m,
                 effective=effective,
                 powers_w=powers_w,
                 order=order,
@@ -181,23 +183,23 @@ class Simulator:
 
     def rates(self, effective: ComplexArray, powers_w: FloatArray, order: IntArray | None = None) -> FloatArray:
         """Rates [..., K] [bit/s] for effective channels [..., K, M] and powers [..., K] [W]."""
-        return serving.rates(self._system, effective, powers_w, order)
+        return serving.rates(self.system, effective, powers_w, order)
 
     def reference_powers(
         self, effective: ComplexArray, wanted_bps: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `serving.qos_or_sum`."""
-        return serving.qos_or_sum(self._system, effective, wanted_bps)
+        return serving.qos_or_sum(self.system, effective, wanted_bps)
 
     def split_powers(self, shares: FloatArray) -> FloatArray:
         """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `control.split_powers`."""
-        return serving.split_powers(self._system, shares)
+        return serving.split_powers(self.system, shares)
 
     def reference_phases(self, weights: FloatArray | None = None) -> FloatArray:
         """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""
         channels = self.scene.channels
         channels = channels._replace(reflected=self.config.radio.element_amplitude * channels.reflected)
-        return alignment.qos_aligned_phases(self._system, channels, weights)
+        return alignment.qos_aligned_phases(self.system, channels, weights)
 
     def _decoding_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
         """None for the order of every slot; with the static order, that of the episode's first slot."""
@@ -211,13 +213,13 @@ class Simulator:
         return self._order
 
     def bisector(self, places: FloatArray) -> FloatArray:
-        """Where a panel at `places` [E, P, 2] [m] should face: between the AP and the users' middle, [E, P] [rad]."""
-        return _bisectors(self.ap_position, self.world.crowd.xy, np.ascontiguousarray(places))
+        """Where panels at `places` [E, 2] [m] should face: between the AP and the users' middle, [E] [rad]."""
+        return _bisectors(np.concatenate([self.world.crowd.xy, self.ap_position[:, None, :2]], 1), places)
 
     def _face_panels(self, pan_rad: FloatArray | None = None) -> None:
         if self.config.world.pan != "locked":
             offset = np.zeros(self.num_cells) if pan_rad is None else pan_rad
-            self.world.fleet.face(self.bisector(self.world.fleet.xy[:, None])[:, 0] + offset)
+            self.world.fleet.face(self.bisector(self.world.fleet.xy) + offset)
 
     def look(self) -> Scene:
         """See the scene anew after rovers or people were placed by hand, the panels turned to their bisectors."""
@@ -231,7 +233,7 @@ class Simulator:
         panel, receivers, heading = world.panel_centre(), world.receivers(), world.fleet.panel_heading
         start, end = links.ends(self.ap_position, panel, receivers)
         blockers = world.sight.blockers(start, end, self._own_person)
-        mean = links.means(self._medium, start, end, blockers, heading)
+        mean = links.means(self.medium, start, end, blockers, heading)
         elements = links.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m)
         return Scene(
             rover_xy=panel[:, :2],
@@ -249,24 +251,10 @@ class Simulator:
 
 
 @compiled
-def _bisectors(ap: FloatArray, users: FloatArray, places: FloatArray) -> FloatArray:
-    """`Simulator.bisector` for APs [E, 3] and users [E, K, 2]."""
-    headings = np.empty(places.shape[:2])
-    for e in range(places.shape[0]):
-        for p in range(places.shape[1]):
-            x, y = places[e, p]
-            users_x, users_y = 0.0, 0.0
-            for k in range(users.shape[1]):
-                toward_x, toward_y = _unit(users[e, k, 0] - x, users[e, k, 1] - y)
-                users_x, users_y = users_x + toward_x, users_y + toward_y
-            users_x, users_y = _unit(users_x, users_y)
-            ap_x, ap_y = _unit(ap[e, 0] - x, ap[e, 1] - y)
-            headings[e, p] = math.atan2(ap_y + users_y, ap_x + users_x)
+def _bisectors(ends: FloatArray, places: FloatArray) -> FloatArray:
+    """`Simulator.bisector` for users and AP at `ends` [E, K + 1, 2] [m]."""
+    headings = np.empty(len(places))
+    for e in range(len(places)):
+        x, y = links.bisector(ends[e], places[e, 0], places[e, 1])
+        headings[e] = math.atan2(y, x)
     return headings
-
-
-@compiled
-def _unit(x: float, y: float) -> tuple[float, float]:
-    """The vector with length one; zero stays zero."""
-    length = math.sqrt(x * x + y * y)
-    return (x / length, y / length) if length > 0 else (0.0, 0.0)

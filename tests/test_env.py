@@ -221,7 +221,7 @@ def test_pan_is_one_more_action_from_the_bisector():
     action[:, -1] = -0.5, 0, 0.25, 1
     task.step(action)
     simulator = task.simulator
-    turned = simulator.scene.panel_heading - simulator.bisector(simulator.world.fleet.xy[:, None])[:, 0]
+    turned = simulator.scene.panel_heading - simulator.bisector(simulator.world.fleet.xy)
     np.testing.assert_allclose(np.exp(1j * turned), np.exp(1j * np.pi * action[:, -1]), atol=1e-9)
 
 

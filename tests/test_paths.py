@@ -9,6 +9,7 @@ from mjris.config import World as WorldConfig
 from mjris.world.footprints import Footprints
 from mjris.world.layout import layout_names, load_layout
 from mjris.world.paths import Paths
+from mjris.world.wayfinding import last_nodes
 from mjris.world.world import World
 
 WALLS = [(-0.1, 3, 0.1, 3), (8.1, 3, 0.1, 3), (4, -0.1, 4, 0.1), (4, 6.1, 4, 0.1)]
@@ -32,8 +33,8 @@ def dijkstra(made: Paths, source: int) -> np.ndarray:
 
     def free(a: int, b: int) -> bool:
         way = np.linspace(made.nodes[a], made.nodes[b], 240)
-        grown = made._solid.half + made.keep_m + 0.01 - 1e-9
-        return Footprints(made._solid.centre, grown, made._solid.axis).distance(way[None]).min() > 0
+        centre, half, axis = made.graph.solid
+        return Footprints(centre, half + made.keep_m + 0.01 - 1e-9, axis).distance(way[None]).min() > 0
 
     best = np.full(len(made.nodes), np.inf)
     queue = [(0.0, source)]
@@ -75,7 +76,7 @@ def test_around_a_partition():
     place, travelled = start, 0.0
     for _ in range(6):
         target = made.toward(place, goal)
-        assert made._solid.free_run(place[:, None], target[:, None], KEEP_M).all()
+        assert Footprints(*made.graph.solid).free_run(place[:, None], target[:, None], KEEP_M).all()
         travelled += float(np.linalg.norm(target - place))
         place = target
     np.testing.assert_allclose(place, goal)
@@ -179,7 +180,7 @@ def assert_arrives(made: World, start: np.ndarray, goal: np.ndarray) -> None:
     """Every rover reaches its goal in time and bumps into nothing."""
     still = np.zeros((made.num_cells, made.config.num_users))
     ways, reach = made.paths, made.config.max_speed_mps * made.config.slot_s
-    goal = ways._last_nodes(goal)[0]
+    goal = np.array([last_nodes(ways.graph, e % len(ways.distances), *place)[:2] for e, place in enumerate(goal)])
     budget = 1.3 * ways.distance(start, goal) / reach + 4
     left = np.linalg.norm(goal - start, axis=-1)
     for slot in range(1, 1 + math.ceil(budget.max())):
@@ -225,7 +226,7 @@ def test_values_along_ways_around_furniture():
     for e in (0, 1):
         for node in range(len(made.nodes)):
             # Ways of equal length may have different integrals: one of them must agree.
-            steps = np.where(np.isfinite(made._edge_m[0, node]), made._neighbours[node], node)
+            steps = np.where(np.isfinite(made.graph.edge_m[0, node]), made.graph.neighbours[node], node)
             via = [other for other in steps if other != node]
             on_way = [other for other in via if abs(length[e, other] + reach[other, node] - length[e, node]) < 1e-4]
             sums = [integral[e, b] + reach[b, node] * (values[e, b] + values[e, node]) / 2 for b in on_way]

@@ -10,6 +10,7 @@ from mjris.eval.planner import best_places
 from mjris.eval.policies import planned
 from mjris.radiomap import best_goals, node_values, place_values
 from mjris.simulator import Simulator
+from mjris.world.wayfinding import first_nodes, last_nodes, next_node, shortest
 
 CELLS = 3
 
@@ -36,7 +37,8 @@ def test_best_places_are_the_best_and_can_be_reached(made):
     places, values = best_places(made)
     assert (values >= node_values(made).max(1)).all()
     np.testing.assert_allclose(place_values(made, places[:, None])[:, 0], values)
-    np.testing.assert_allclose(made.world.paths._last_nodes(places)[0], places)
+    for place in places:
+        assert last_nodes(made.world.paths.graph, 0, *place)[:2] == pytest.approx(place)
     assert (made.world._hull_solid.distance(places[:, None])[:, 0] >= made.world.paths.keep_m).all()
 
 
@@ -56,9 +58,11 @@ def test_goals_are_those_of_a_search_over_all_ways(horizon):
     goal, promised = best_goals(made, horizon)
     totals = {tuple(here[0]): reach * place_values(made, here[:, None])[0, 0]}
     for node in np.flatnonzero(ways.distance_to_nodes(here)[0] < reach).tolist():
-        last = np.array([[node]])
-        _, first, _ = ways._shortest(*ways._first_nodes(here), last, np.zeros((1, 1)))
-        way = [here[0], *ways.nodes[ways._walk(first, last[0])[0]]]
+        _, at, _ = shortest(ways.graph, 0, *first_nodes(ways.graph, 0, *here[0]), np.array([node]), np.zeros(1))
+        way = [here[0], ways.nodes[at]]
+        while at != node:
+            at = next_node(ways.graph, 0, at, node)
+            way.append(ways.nodes[at])
         values = place_values(made, np.array(way)[None])[0]
         legs = [math.dist(a, b) for a, b in pairwise(way)]
         on_the_way = sum(leg * (u + v) / 2 for leg, (u, v) in zip(legs, pairwise(values), strict=True))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjris.config import preset
-from mjris.radiomap import bare_values, best_goals, link_gains, node_values, penalised, place_values
+from mjris.radiomap import _floor, _link_gains, bare_values, best_goals, node_values, penalised, place_values
 from mjris.simulator import Simulator
 
 OFFICE = preset("office")
@@ -19,17 +19,20 @@ def simulator():
 def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
     rng = np.random.default_rng(0)
     places = rng.uniform((0.5, 0.5), (14.5, 19.5), (3, 20, 2))
-    incident, reflected = link_gains(simulator, places)
-    world = simulator.world
+    panel_m = OFFICE.world.panel_height_m
+    world, ground, reflected = simulator.world, _floor(simulator), np.empty(4)
     for e in range(3):
         ap, users = simulator.ap_position[e], world.receivers()[e]
-        for p, place in enumerate(places[e]):
-            panel = np.array([*place, OFFICE.world.panel_height_m])
+        for place in places[e]:
+            incident = _link_gains(
+                ground.medium, ground.grid, panel_m, ground.ends[e], ground.blockers[e], *place, reflected
+            )
+            panel = np.array([*place, panel_m])
             units = [(user - panel)[:2] / np.linalg.norm((user - panel)[:2]) for user in users]
             toward_users = np.mean(units, 0) / np.linalg.norm(np.mean(units, 0))
             facing = toward_users + (ap - panel)[:2] / np.linalg.norm((ap - panel)[:2])
             facing = np.array([*facing, 0]) / np.linalg.norm(facing)
-            for k, (end, found) in enumerate([*zip(users, reflected[e, p], strict=True), (ap, incident[e, p])]):
+            for k, (end, found) in enumerate([*zip(users, reflected, strict=True), (ap, incident)]):
                 middle = np.rint(place / 0.5) * 0.5
                 start = end if k == 4 else np.array([*np.rint(end[:2] / 0.5) * 0.5, end[2]])
                 stop = np.array([*middle, panel[2]])

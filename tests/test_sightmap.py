@@ -4,6 +4,7 @@ import pytest
 from mjris.config import Config
 from mjris.config import World as WorldConfig
 from mjris.world.layout import load_layout
+from mjris.world.sightmap import square
 from mjris.world.world import World
 
 
@@ -15,33 +16,38 @@ def world(num_cells: int, **options) -> World:
     return made
 
 
+def seen(made: World, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Obstacles [E, P, K + 1] from places [E, K, 2] and the AP to places [E, P, 2]."""
+    squares = np.array([[square(made.sight_map.grid, *place) for place in own] for own in high])
+    return np.take_along_axis(made.sight_map.blockers(low), squares[:, None], 2).swapaxes(1, 2)
+
+
 @pytest.mark.parametrize("options", [{}, {"layout_jitter_m": 0.3}, {"body_blockage": True}])
 def test_squares_are_seen_as_rays_see_their_middles(options):
     made = world(3, **options)
     rng = np.random.default_rng(1)
     low, high = rng.integers(1, (30, 40), (2, 3, 50, 2)) * 0.5
     anywhere = rng.uniform(-0.249, 0.249, (2, 3, 50, 2))  # in the same squares
-    between = made.sight_map.between(low + anywhere[0], high + anywhere[1])
-    from_ap = made.sight_map.from_ap(high + anywhere[1])
+    found = seen(made, low + anywhere[0], high + anywhere[1])
     bare = world(3, **(options | {"body_blockage": False})).sight
     start, end = np.insert(low, 2, made.config.user_height_m, -1), np.insert(high, 2, made.config.panel_height_m, -1)
     for k in range(0, 50, 7):
         expected = bare.blockers(np.broadcast_to(start[:, k, None], end.shape), end)
-        np.testing.assert_array_equal(between[:, :, k], expected)
+        np.testing.assert_array_equal(found[:, :, k], expected)
     ap = np.stack([made.office(e).ap_position for e in range(3)])
-    np.testing.assert_array_equal(from_ap, bare.blockers(np.broadcast_to(ap[:, None], end.shape), end))
-    assert {0, 1, 2} <= set(between.ravel().tolist())
+    np.testing.assert_array_equal(found[..., -1], bare.blockers(np.broadcast_to(ap[:, None], end.shape), end))
+    assert {0, 1, 2} <= set(found.ravel().tolist())
 
 
 def test_cells_with_furniture_of_their_own_have_maps_of_their_own():
     made = world(2, layout_jitter_m=0.4)
     places = np.random.default_rng(2).uniform(0, (15, 20), (400, 2))
-    both = made.sight_map.between(np.tile(places[:100], (2, 1, 1)), np.tile(places, (2, 1, 1)))
+    both = seen(made, np.tile(places[:100], (2, 1, 1)), np.tile(places, (2, 1, 1)))
     assert (both[0] != both[1]).mean() > 0.005
 
 
 def test_places_outside_belong_to_the_nearest_square():
-    sight_map = world(1).sight_map
+    made = world(1)
     outside, inside = np.array([[[-3.0, 25.0]]]), np.array([[[0.1, 19.9]]])
     low = np.array([[[7.0, 7.0]]])
-    np.testing.assert_array_equal(sight_map.between(low, outside), sight_map.between(low, inside))
+    np.testing.assert_array_equal(seen(made, low, outside), seen(made, low, inside))

@@ -180,7 +180,7 @@ def _panel_heading(simulator: Simulator, ris_xy: FloatArray, wanted_rad: float |
             raise ConfigError(f"heading: {wanted_rad} is not allowed: it must be an angle")
         return np.array(wanted_rad)
     if simulator.config.world.pan == "auto":
-        return simulator.bisector(ris_xy[None, None])[0, 0]
+        return simulator.bisector(ris_xy[None])[0]
     return simulator.scene.rover_heading[0]
 
 

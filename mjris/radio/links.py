@@ -18,7 +18,8 @@ IntArray = NDArray[np.int64]
 class Medium(NamedTuple):
     """What a link is like beside its geometry."""
 
-    carrier_hz: float
+    frequency_db: float
+    """20 log10 of the carrier in MHz."""
     rician_k: float
     """Of links in line of sight, linear."""
     cosine: bool
@@ -30,7 +31,10 @@ class Medium(NamedTuple):
     def of(cls, radio: Radio) -> "Medium":
         """With the numbers of a config."""
         return cls(
-            radio.carrier_hz, 10 ** (radio.rician_k_db / 10), radio.element_pattern == "cosine", radio.element_exponent
+            20 * math.log10(radio.carrier_hz / 1e6),
+            10 ** (radio.rician_k_db / 10),
+            radio.element_pattern == "cosine",
+            radio.element_exponent,
         )
 
 
@@ -87,10 +91,45 @@ def means(medium: Medium, start: FloatArray, end: FloatArray, blockers: IntArray
 @compiled
 def path_loss_db(medium: Medium, distance_m: float, blockers: int) -> float:
     """`propagation.path_loss_db` of one link."""
-    decades, frequency_db = math.log10(max(distance_m, 1.0)), 20 * math.log10(medium.carrier_hz / 1e6)
+    at_a_metre, a_decade = _loss_terms_db(medium, blockers)
+    return at_a_metre + a_decade * math.log10(max(distance_m, 1.0))
+
+
+@compiled
+def path_gain(medium: Medium, squared_m: float, blockers: int) -> float:
+    """Power gain of one link, from its squared length [m²]: 10^(-L/10) without the detour over decibels."""
+    at_a_metre, a_decade = _loss_terms_db(medium, blockers)
+    return math.exp(-math.log(10) / 10 * at_a_metre - a_decade / 20 * math.log(max(squared_m, 1.0)))
+
+
+@compiled
+def _loss_terms_db(medium: Medium, blockers: int) -> tuple[float, float]:
+    """Path loss at one metre, and how much it grows in a decade of distance, eqs. (PLLOS) and (PLNLOS)."""
     if blockers > 0:
-        return frequency_db - 28 + 25.5 * decades + (15 + 4 * (blockers - 1))
-    return 16.9 * decades - 27.2 + frequency_db
+        return medium.frequency_db - 28 + 15 + 4 * (blockers - 1), 25.5
+    return medium.frequency_db - 27.2, 16.9
+
+
+@compiled
+def bisector(receivers: FloatArray, x: float, y: float) -> tuple[float, float]:
+    """A vector in the direction that a panel at a place should face: between the AP and the users' middle.
+
+    `receivers` [K + 1, 2 or 3] [m] are the users and, last, the AP.
+    """
+    users, users_x, users_y = len(receivers) - 1, 0.0, 0.0
+    for k in range(users):
+        toward_x, toward_y = _unit(receivers[k, 0] - x, receivers[k, 1] - y)
+        users_x, users_y = users_x + toward_x, users_y + toward_y
+    users_x, users_y = _unit(users_x, users_y)
+    ap_x, ap_y = _unit(receivers[users, 0] - x, receivers[users, 1] - y)
+    return ap_x + users_x, ap_y + users_y
+
+
+@compiled
+def _unit(x: float, y: float) -> tuple[float, float]:
+    """The vector with length one; zero stays zero."""
+    length = math.sqrt(x * x + y * y)
+    return (x / length, y / length) if length > 0 else (0.0, 0.0)
 
 
 @compiled

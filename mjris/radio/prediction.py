@@ -1,16 +1,46 @@
 """What the RIS would give at a place, predicted from geometry alone: mean amplitudes, no fading, no interference."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjris.compiled import compiled
 from mjris.config import Radio
-from mjris.radio.serving import System, ascending, cancelled, qos_first
+from mjris.radio.serving import System, cancelled, needed_share, qos_first, sort_users
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
+
+
+class Arrays(NamedTuple):
+    """The antennas and the panel."""
+
+    antennas: int
+    elements: int
+    amplitude: float
+    """Modulus of an element's coefficient."""
+
+    @classmethod
+    def of(cls, radio: Radio) -> "Arrays":
+        """With the numbers of a config."""
+        return cls(radio.num_antennas, radio.num_elements, radio.element_amplitude)
+
+
+class Workspace(NamedTuple):
+    """What a prediction fills, one place after another."""
+
+    rates: FloatArray
+    """[K] [bit/s]: what was predicted."""
+    gains: FloatArray
+    """[K]"""
+    powers: FloatArray
+    """[K] [W]"""
+    needed: FloatArray
+    """`needed_share` of QoS [K]."""
+    order: IntArray
+    """[V, K/V]"""
 
 
 def predicted_rates(
@@ -26,11 +56,9 @@ def predicted_rates(
     perfectly separated.
     """
     shape = (-1, direct.shape[-1])
-    rates = _predicted(
+    rates = _predict_all(
         System.of(radio, clusters, qos_bps),
-        radio.num_antennas,
-        radio.num_elements,
-        radio.element_amplitude,
+        Arrays.of(radio),
         np.ascontiguousarray(direct).reshape(shape),
         np.ascontiguousarray(incident).reshape(-1),
         np.ascontiguousarray(reflected).reshape(shape),
@@ -39,32 +67,45 @@ def predicted_rates(
 
 
 @compiled
-def _predicted(
-    system: System,
-    antennas: int,
-    elements: int,
-    amplitude: float,
-    direct: FloatArray,
-    incident: FloatArray,
-    reflected: FloatArray,
+def _predict_all(
+    system: System, arrays: Arrays, direct: FloatArray, incident: FloatArray, reflected: FloatArray
 ) -> FloatArray:
-    num_clusters, bands = system.clusters.shape
-    users, beam_gain, in_phase = direct.shape[1], antennas - num_clusters + 1, elements / num_clusters
-    rates, gains, least = np.empty(direct.shape), np.empty(users), np.full(users, system.qos_bps)
+    rates, work = np.empty(direct.shape), workspace(system)
     for place in range(len(direct)):
-        for k in range(users):
-            one_element = math.sqrt(incident[place] * reflected[place, k]) * amplitude
-            coherent = math.sqrt(direct[place, k]) + in_phase * one_element
-            gains[k] = (coherent**2 + (elements - in_phase) * one_element**2) / system.noise_w
-        if system.oma:
-            # A user has K/V of a cluster's bands' noise, and P/K of the power.
-            for k in range(users):
-                snr = beam_gain * gains[k] * bands * system.tx_power_w / users
-                rates[place, k] = system.bandwidth_hz / bands * math.log1p(snr) / math.log(2)
-        else:
-            order = ascending(system, gains)
-            for v in range(num_clusters):
-                gains[order[v, -1]] *= beam_gain
-            powers = qos_first(system, gains, order, system.tx_power_w / num_clusters, least)
-            rates[place] = cancelled(system, gains, powers, order)
+        predict(system, arrays, direct[place], incident[place], reflected[place], work)
+        rates[place] = work.rates
     return rates
+
+
+@compiled
+def workspace(system: System) -> Workspace:
+    """Where predictions can be worked out."""
+    users = system.clusters.size
+    needed = np.full(users, needed_share(system, system.qos_bps))
+    return Workspace(np.empty(users), np.empty(users), np.empty(users), needed, np.empty_like(system.clusters))
+
+
+@compiled
+def predict(
+    system: System, arrays: Arrays, direct: FloatArray, incident: float, reflected: FloatArray, work: Workspace
+) -> None:
+    """`predicted_rates` of one place."""
+    # To read an array from a tuple costs as much as a square root.
+    rates, gains, powers, needed, order = work
+    num_clusters, bands = system.clusters.shape
+    users, beam_gain, in_phase = len(direct), arrays.antennas - num_clusters + 1, arrays.elements / num_clusters
+    for k in range(users):
+        one_element = math.sqrt(incident * reflected[k]) * arrays.amplitude
+        coherent = math.sqrt(direct[k]) + in_phase * one_element
+        gains[k] = (coherent**2 + (arrays.elements - in_phase) * one_element**2) / system.noise_w
+    if system.oma:
+        # A user has K/V of a cluster's bands' noise, and P/K of the power.
+        for k in range(users):
+            snr = beam_gain * gains[k] * bands * system.tx_power_w / users
+            rates[k] = system.bandwidth_hz / bands * math.log1p(snr) / math.log(2)
+    else:
+        sort_users(system, gains, order)
+        for v in range(num_clusters):
+            gains[order[v, -1]] *= beam_gain
+        qos_first(gains, order, system.tx_power_w / num_clusters, needed, powers)
+        cancelled(system, gains, powers, order, rates)

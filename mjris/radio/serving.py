@@ -102,7 +102,7 @@ def _rates(system: System, channel: ComplexArray, powers: FloatArray, order: Int
                     budgets[v] += powers[cell, user]
             gains = _effective_gains(system, channel[cell], _cluster_beams(system, channel[cell]), budgets)
             decoded = order[cell] if len(order) > 0 else ascending(system, gains)
-            found[cell] = cancelled(system, gains, powers[cell], decoded)
+            cancelled(system, gains, powers[cell], decoded, found[cell])
     return found
 
 
@@ -126,12 +126,16 @@ def serve(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[Fl
     budget = system.tx_power_w / len(system.clusters)
     gains = _effective_gains(system, channel, heads, np.full(len(heads), budget))
     order = ascending(system, gains)
-    powers = qos_first(system, gains, order, budget, wanted)
-    reached = cancelled(system, gains, powers, order)
+    shares, powers, reached = np.empty(users), np.empty(users), np.empty(users)
+    for user in range(users):
+        shares[user] = needed_share(system, wanted[user])
+    qos_first(gains, order, budget, shares, powers)
+    cancelled(system, gains, powers, order, reached)
     for least in (system.qos_bps, 0.0):
         if reached.min() < system.qos_bps:
-            powers = qos_first(system, gains, order, budget, np.full(users, least))
-            reached = cancelled(system, gains, powers, order)
+            shares[:] = needed_share(system, least)
+            qos_first(gains, order, budget, shares, powers)
+            cancelled(system, gains, powers, order, reached)
     beams = np.empty_like(channel)
     for v in range(len(heads)):
         for user in system.clusters[v]:
@@ -141,26 +145,34 @@ def serve(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[Fl
 
 
 @compiled
-def qos_first(system: System, gains: FloatArray, order: IntArray, budget: float, least_bps: FloatArray) -> FloatArray:
-    """`control.qos_first_split` of every cluster, for users [K] decoded in `order` [V, K/V]."""
-    powers = np.empty(len(gains))
+def needed_share(system: System, least_bps: float) -> float:
+    """What part t/(1+t) = 1 - 2^(-R/B) of its SINR t a rate takes."""
+    # A hair above it, so that rounding never leaves a rate below its QoS.
+    return -math.expm1(-math.log(2) / system.bandwidth_hz * least_bps) * (1 + 1e-12)
+
+
+@compiled
+def qos_first(gains: FloatArray, order: IntArray, budget: float, needed: FloatArray, powers: FloatArray) -> None:
+    """Write `control.qos_first_split` of every cluster to `powers` [K], for users decoded in `order` [V, K/V].
+
+    `needed` [K] are the users' `needed_share`.
+    """
     for v in range(len(order)):
         left = budget
         for place in range(order.shape[1] - 1):
             user = order[v, place]
-            # t/(1+t) = 1 - 2^(-R/B), a hair above it so that rounding never leaves a rate below its QoS.
-            needed = -math.expm1(-math.log(2) / system.bandwidth_hz * least_bps[user]) * (1 + 1e-12)
-            wanted = needed * (left + 1 / gains[user])
+            wanted = needed[user] * (left + 1 / gains[user])
             powers[user] = wanted if wanted <= left else 0.0
             left -= powers[user]
         powers[order[v, -1]] = left
-    return powers
 
 
 @compiled
-def cancelled(system: System, gains: FloatArray, powers: FloatArray, order: IntArray) -> FloatArray:
-    """Rates [K] where only users later in `order` [V, K/V] interfere, eq. (inuk), each also decodable by those."""
-    found = np.empty(len(gains))
+def cancelled(system: System, gains: FloatArray, powers: FloatArray, order: IntArray, found: FloatArray) -> None:
+    """Write rates to `found` [K] where only users later in `order` [V, K/V] interfere, eq. (inuk).
+
+    Each is also decodable by those.
+    """
     for v in range(len(order)):
         later, weakest = 0.0, np.inf
         for place in range(order.shape[1] - 1, -1, -1):
@@ -169,13 +181,19 @@ def cancelled(system: System, gains: FloatArray, powers: FloatArray, order: IntA
             sinr = weakest * powers[user] / (weakest * later + 1)
             found[user] = system.bandwidth_hz / math.log(2) * math.log1p(sinr)
             later += powers[user]
-    return found
 
 
 @compiled
 def ascending(system: System, gains: FloatArray) -> IntArray:
     """Users of every cluster by ascending gain [V, K/V]."""
     order = np.empty_like(system.clusters)
+    sort_users(system, gains, order)
+    return order
+
+
+@compiled
+def sort_users(system: System, gains: FloatArray, order: IntArray) -> None:
+    """Write `ascending` to `order`."""
     for v in range(len(order)):
         for place in range(order.shape[1]):
             user, free = system.clusters[v, place], place
@@ -183,7 +201,6 @@ def ascending(system: System, gains: FloatArray) -> IntArray:
                 order[v, free] = order[v, free - 1]
                 free -= 1
             order[v, free] = user
-    return order
 
 
 @compiled

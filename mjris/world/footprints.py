@@ -88,17 +88,41 @@ def toward(rectangles: Rectangles, office: int, b: int, x: float, y: float) -> t
 @compiled
 def entry(rectangles: Rectangles, office: int, x: float, y: float, u: float, v: float, inflate: float) -> float:
     """The share of a way (u, v) from (x, y) before it enters a rectangle grown by `inflate`, inf if it never does."""
-    centre, half, axis = rectangles
     first = np.inf
-    for b in range(centre.shape[2]):
-        ax, ay = axis[0, office, b], axis[1, office, b]
-        dx, dy = x - centre[0, office, b], y - centre[1, office, b]
-        enter, leave = slab(dx * ax + dy * ay, u * ax + v * ay, half[0, office, b] + inflate, 0.0, 1.0)
-        if enter < leave:
-            enter, leave = slab(dy * ax - dx * ay, v * ax - u * ay, half[1, office, b] + inflate, enter, leave)
-            if enter < leave:
-                first = min(first, enter)
+    for b in range(rectangles[0].shape[2]):
+        first = min(first, _entry_of(rectangles, office, b, x, y, u, v, inflate))
     return first
+
+
+@compiled
+def is_free(rectangles: Rectangles, office: int, x: float, y: float, u: float, v: float, inflate: float) -> bool:
+    """Whether a way (u, v) from (x, y) misses every rectangle grown by `inflate`."""
+    for b in range(rectangles[0].shape[2]):  # noqa: SIM110 - Numba compiles no generators
+        if _entry_of(rectangles, office, b, x, y, u, v, inflate) < np.inf:
+            return False
+    return True
+
+
+@compiled
+def _entry_of(
+    rectangles: Rectangles, office: int, b: int, x: float, y: float, u: float, v: float, inflate: float
+) -> float:
+    centre, half, axis = rectangles
+    ax, ay = axis[0, office, b], axis[1, office, b]
+    dx, dy = x - centre[0, office, b], y - centre[1, office, b]
+    from_x, way_x, half_x = dx * ax + dy * ay, u * ax + v * ay, half[0, office, b] + inflate
+    from_y, way_y, half_y = dy * ax - dx * ay, v * ax - u * ay, half[1, office, b] + inflate
+    # Most rectangles are far off, which shows without a division; the hair leaves contacts to the slabs.
+    if abs(2 * from_x + way_x) - abs(way_x) > 2 * half_x + 1e-9:
+        return np.inf
+    if abs(2 * from_y + way_y) - abs(way_y) > 2 * half_y + 1e-9:
+        return np.inf
+    enter, leave = slab(from_x, way_x, half_x, 0.0, 1.0)
+    if enter < leave:
+        enter, leave = slab(from_y, way_y, half_y, enter, leave)
+        if enter < leave:
+            return enter
+    return np.inf
 
 
 @compiled

@@ -1,0 +1,196 @@
+"""What agents see of the present scene in E cells, every number of order one."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.compiled import compiled
+from mjris.radio.channel import Channels
+from mjris.radiomap import place_values
+from mjris.simulator import Simulator
+
+FloatArray = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+Seen = NDArray[np.float32]
+
+FAR_M = 12.0
+"""The furthest waypoint, and what counts as one: about half the diagonal of the default office."""
+_RADII_M = (0.6, 2.0, 5.0)
+_ANGLES = np.arange(8) * np.pi / 4
+_CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], -1)
+_AROUND = np.concatenate([np.zeros((1, 2)), *(radius * _CIRCLE for radius in _RADII_M)])
+"""Places of the radio map that are seen, the rover's own first, from there [P, 2] [m]."""
+_USUAL_LOSS_DB, _LOSS_SPREAD_DB = 70, 15
+"""What path losses are scaled by: indoors at some GHz they lie within 40 and 100 dB."""
+_GAIN_SCALE = 5
+"""Gains of the radio map are some tenths of a Mb/s."""
+
+
+def channel_state(simulator: Simulator) -> Seen:
+    """The paper's state, eq. (S), [E, D]: positions, path losses, and fading with the path loss taken out."""
+    scene = simulator.scene
+    users, (elements, antennas) = scene.users_xy.shape[1], scene.channels.incident.shape[1:]
+    width = 4 + 4 * users + 1 + 2 * (users * antennas + elements * antennas + users * elements)
+    seen = np.empty((simulator.num_cells, width), np.float32)
+    _write_channel_state(
+        seen,
+        scene.rover_xy,
+        scene.panel_heading,
+        scene.users_xy,
+        simulator.room_m,
+        scene.path_loss_db,
+        scene.channels,
+    )
+    return seen
+
+
+def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) -> Seen:
+    """Positions, gains of the users' channels and the radio map around the rover, [E, D].
+
+    What places around it are worth more than its own, how far the ways there are free, and where the map's goal
+    [E, 2] [m] is and what it promises [E] [bit/s].
+    """
+    scene, world = simulator.scene, simulator.world
+    around = scene.rover_xy[:, None] + _AROUND
+    ends = around[:, -len(_CIRCLE) :]
+    start = np.broadcast_to(scene.rover_xy[:, None], ends.shape)
+    free = world.free_share(start, ends, world.hull_radius_m + world.config.bumper_m)
+    width = 4 + 8 * scene.users_xy.shape[1] + 1 + len(_AROUND) + len(_CIRCLE) + 3
+    seen = np.empty((simulator.num_cells, width), np.float32)
+    _write_radio_map(
+        seen,
+        scene.rover_xy,
+        scene.panel_heading,
+        scene.users_xy,
+        simulator.room_m,
+        scene.path_loss_db,
+        scene.channels,
+        place_values(simulator, around),
+        free,
+        goal,
+        promised_bps,
+    )
+    return seen
+
+
+@compiled
+def _write_channel_state(
+    seen: Seen,
+    rover_xy: FloatArray,
+    panel_heading: FloatArray,
+    users_xy: FloatArray,
+    room_m: FloatArray,
+    loss_db: FloatArray,
+    channels: Channels,
+) -> None:
+    direct, incident, reflected = channels
+    users, elements = users_xy.shape[1], incident.shape[1]
+    for e in range(len(seen)):
+        own, loss = seen[e], loss_db[e]
+        at = _write_positions(own, rover_xy[e], panel_heading[e], users_xy[e], room_m[e])
+        at = _write_losses(own, at, loss)
+        for k in range(users):
+            at = _write_fading(own, at, users, direct[e, k], loss[k])
+        at += users * direct.shape[2]
+        for n in range(elements):
+            at = _write_fading(own, at, elements, incident[e, n], loss[2 * users])
+        at += elements * incident.shape[2]
+        for k in range(users):
+            at = _write_fading(own, at, users, reflected[e, k], loss[users + k])
+
+
+@compiled
+def _write_radio_map(
+    seen: Seen,
+    rover_xy: FloatArray,
+    panel_heading: FloatArray,
+    users_xy: FloatArray,
+    room_m: FloatArray,
+    loss_db: FloatArray,
+    channels: Channels,
+    values_bps: FloatArray,
+    free: FloatArray,
+    goal: FloatArray,
+    promised_bps: FloatArray,
+) -> None:
+    direct, incident, reflected = channels
+    users = users_xy.shape[1]
+    for e in range(len(seen)):
+        own, here = seen[e], values_bps[e, 0]
+        at = _write_positions(own, rover_xy[e], panel_heading[e], users_xy[e], room_m[e])
+        for k in range(users):
+            for i in range(2):
+                own[at] = 2 * (users_xy[e, k, i] - rover_xy[e, i]) / room_m[e, i]
+                at += 1
+        at = _write_losses(own, at, loss_db[e])
+        for k in range(users):
+            own[at + k] = _scaled(_loss_db(_norm(direct[e, k])))
+            # With all elements in phase.
+            panel = 0.0
+            for n in range(incident.shape[1]):
+                panel += abs(reflected[e, k, n]) * _norm(incident[e, n])
+            own[at + users + k] = _scaled(_loss_db(panel))
+        at += 2 * users
+        own[at] = here / 1e6
+        for place in range(1, values_bps.shape[1]):
+            own[at + place] = _GAIN_SCALE * (values_bps[e, place] - here) / 1e6
+        at += values_bps.shape[1]
+        for way in range(free.shape[1]):
+            own[at + way] = min(free[e, way], 1.0)
+        at += free.shape[1]
+        # The length under a square root: what is near matters in detail.
+        x, y = goal[e, 0] - rover_xy[e, 0], goal[e, 1] - rover_xy[e, 1]
+        root = math.sqrt(FAR_M * max(math.hypot(x, y), 1e-9))
+        own[at], own[at + 1] = x / root, y / root
+        own[at + 2] = _GAIN_SCALE * (promised_bps[e] - here) / 1e6
+
+
+@compiled
+def _write_positions(
+    seen: Seen, rover_xy: FloatArray, panel_heading: float, users_xy: FloatArray, room_m: FloatArray
+) -> int:
+    """Write positions from the middle of the room and the direction of the panel; where they end."""
+    half_x, half_y = room_m[0] / 2, room_m[1] / 2
+    seen[0], seen[1] = rover_xy[0] / half_x - 1, rover_xy[1] / half_y - 1
+    seen[2], seen[3] = math.cos(panel_heading), math.sin(panel_heading)
+    for k in range(len(users_xy)):
+        seen[4 + 2 * k], seen[5 + 2 * k] = users_xy[k, 0] / half_x - 1, users_xy[k, 1] / half_y - 1
+    return 4 + 2 * len(users_xy)
+
+
+@compiled
+def _write_losses(seen: Seen, at: int, loss_db: FloatArray) -> int:
+    """Write the path losses of all links from `at` on; where they end."""
+    for link in range(len(loss_db)):
+        seen[at + link] = _scaled(loss_db[link])
+    return at + len(loss_db)
+
+
+@compiled
+def _write_fading(seen: Seen, at: int, rows: int, row: ComplexArray, loss_db: float) -> int:
+    """Write a link's row of real parts from `at` on, and the imaginary ones as many `rows` behind; where it ends."""
+    amplitude, columns = 10.0 ** (loss_db / 20), len(row)
+    for column in range(columns):
+        seen[at + column] = row[column].real * amplitude
+        seen[at + column + rows * columns] = row[column].imag * amplitude
+    return at + columns
+
+
+@compiled
+def _scaled(loss_db: float) -> float:
+    """A path loss [dB] around zero and of order one."""
+    return (loss_db - _USUAL_LOSS_DB) / _LOSS_SPREAD_DB
+
+
+@compiled
+def _loss_db(amplitude: float) -> float:
+    return -20 * math.log10(max(amplitude, 1e-9))
+
+
+@compiled
+def _norm(row: ComplexArray) -> float:
+    total = 0.0
+    for entry in row:
+        total += entry.real**2 + entry.imag**2
+    return math.sqrt(total)
