@@ -54,8 +54,7 @@ def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) 
     scene, world = simulator.scene, simulator.world
     around = scene.rover_xy[:, None] + _AROUND
     ends = around[:, -len(_CIRCLE) :]
-    start = np.broadcast_to(scene.rover_xy[:, None], ends.shape)
-    free = world.free_share(start, ends, world.hull_radius_m + world.config.bumper_m)
+    free = world.free_share(scene.rover_xy[:, None], ends, world.hull_radius_m + world.config.bumper_m)
     width = 4 + 8 * scene.users_xy.shape[1] + 1 + len(_AROUND) + len(_CIRCLE) + 3
     seen = np.empty((simulator.num_cells, width), np.float32)
     _write_radio_map(

@@ -90,12 +90,8 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
     within, ground = way_m < horizon_m, _floor(simulator)
     present = _values(ground, here[:, None], np.ones((len(here), 1), np.bool_))[:, 0]
     values = _values(ground, paths.nodes[None], within)
-    staying = np.maximum(horizon_m - way_m, 0) * np.where(within, values, 0)
-    total = np.where(within, paths.along(way_m, present, values, horizon_m) + staying, -np.inf)
-    best = total.argmax(1)
-    most, stay_total = total[np.arange(len(best)), best], horizon_m * present
-    goal = np.where((stay_total >= most)[:, None], here, paths.nodes[best])
-    return goal, np.maximum(stay_total, most) / horizon_m
+    along = paths.along(way_m, present, values, horizon_m)
+    return _best(here, paths.nodes, way_m, along, present, values, horizon_m)
 
 
 def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArray:
@@ -106,6 +102,27 @@ def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArr
 
 def _direct_gains(simulator: Simulator) -> FloatArray:
     return propagation.db_to_linear(-simulator.scene.path_loss_db[:, : simulator.config.world.num_users])
+
+
+@compiled
+def _best(
+    here: FloatArray,
+    nodes: FloatArray,
+    way_m: FloatArray,
+    along: FloatArray,
+    present: FloatArray,
+    values: FloatArray,
+    horizon_m: float,
+) -> tuple[FloatArray, FloatArray]:
+    """`best_goals` for ways to nodes [E, n] [m], integrals of the value along them, and values here [E] and there."""
+    goal, mean = here.copy(), present.copy()
+    for e in range(len(here)):
+        for node in range(len(nodes)):
+            if way_m[e, node] < horizon_m:
+                then = (along[e, node] + (horizon_m - way_m[e, node]) * values[e, node]) / horizon_m
+                if then > mean[e]:
+                    goal[e], mean[e] = nodes[node], then
+    return goal, mean
 
 
 @compiled
@@ -148,8 +165,7 @@ def _link_gains(
         to_x, to_y, to_z = ends[end, 0] - x, ends[end, 1] - y, ends[end, 2] - height_m
         squared = to_x * to_x + to_y * to_y + to_z * to_z
         cosine = (forward_x * to_x + forward_y * to_y) / math.sqrt(max(squared * facing, 1e-24))
-        gain = links.path_gain(medium, squared, blockers[end, here])
-        gain *= links.pattern_gain(medium, cosine)
+        gain = links.panel_gain(medium, squared, blockers[end, here], cosine)
         if end < len(reflected):
             reflected[end] = gain
         else:

@@ -132,38 +132,6 @@ def play(config: Config, slots: int, cells: int = 4, scale: float = 1.0):
     return [task.step(rng.uniform(-scale, scale, (cells, task.action_size))) for _ in range(slots)]
 
 
-@pytest.mark.parametrize("name", ["paper", "office"])
-@pytest.mark.parametrize("scheme", ["noma", "oma"])
-def test_observations_are_of_order_one(name, scheme):
-    config = changed(preset(name), scheme=scheme, drive="kinematic")
-    seen = np.concatenate([outcome.observation for outcome in play(config, 50, cells=8)])
-    assert np.isfinite(seen).all()
-    assert abs(seen).max() < 20
-    assert 0.1 < seen.std() < 5
-
-
-def test_the_csi_observation_is_the_papers_state():
-    task = Task(changed(preset("paper"), drive="kinematic", num_users=2, layout="clinic"), cells=3)
-    task.step(np.random.default_rng(2).uniform(-1, 1, (3, task.action_size)))
-    simulator, observed = task.simulator, task.observe()
-    for e in range(3):
-        scene, half = simulator.scene, np.array(simulator.world.office(e).layout.room.size[:2]) / 2
-        losses = scene.path_loss_db[e]
-        fading = [*scene.channels.direct[e], *scene.channels.incident[e], *scene.channels.reflected[e]]
-        # Links are AP–users, RIS–users and AP–RIS; the rows of G share the last one.
-        scale = [*losses[:2], *[losses[4]] * 16, *losses[2:4]]
-        rows = [row * 10 ** (loss / 20) for row, loss in zip(fading, scale, strict=True)]
-        groups = [np.concatenate(rows[a:b]) for a, b in ((0, 2), (2, 18), (18, 20))]
-        state = [
-            scene.rover_xy[e] / half - 1,
-            [np.cos(scene.panel_heading[e]), np.sin(scene.panel_heading[e])],
-            *(scene.users_xy[e] / half - 1),
-            (losses - 70) / 15,
-            *(part(group) for group in groups for part in (np.real, np.imag)),
-        ]
-        np.testing.assert_allclose(observed[e], np.concatenate(state), atol=1e-5)
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 30), st.booleans())
 def test_power_and_displacement_never_exceed_their_budgets(seed, scale, signs):

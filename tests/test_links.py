@@ -54,6 +54,27 @@ def test_means_are_those_of_the_array_functions(pattern):
     np.testing.assert_allclose(mean.k_factor, np.where(blockers > 0, 0, 10**0.5))
 
 
+@pytest.mark.parametrize("pattern", ["isotropic", "cosine"])
+def test_gains_of_the_panel_are_path_loss_and_pattern(pattern):
+    radio, rng = Radio(element_pattern=pattern, element_exponent=0.8), np.random.default_rng(2)
+    medium = links.Medium.of(radio)
+    for blockers in (0, 1, 3):
+        for distance, cosine in [*rng.uniform((0.2, -0.2), (30, 1), (20, 2)), (5.0, 0.0), (5.0, 1.0)]:
+            gain = 10 ** (-path_loss_db(np.array(distance), np.array(blockers), radio.carrier_hz) / 10)
+            gain *= links.pattern_gain(medium, cosine)
+            assert links.panel_gain(medium, distance**2, blockers, cosine) == pytest.approx(gain, rel=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_bisector_is_in_the_middle_of_ap_and_users(seed):
+    rng = np.random.default_rng(seed)
+    receivers, place = rng.uniform(0, 9, (5, 3)), rng.uniform(0, 9, 2)
+    x, y = links.bisector(receivers, *place)
+    units = [(end - place) / np.linalg.norm(end - place) for end in receivers[:, :2]]
+    users = sum(units[:4]) / np.linalg.norm(sum(units[:4]))
+    np.testing.assert_allclose([x, y], users + units[4], atol=1e-9)
+
+
 def test_panel_elements_are_those_of_the_array_function():
     rng = np.random.default_rng(1)
     centre, heading = rng.uniform(0, 9, (5, 3)), rng.uniform(-4, 4, 5)

@@ -126,21 +126,6 @@ def test_no_floor_left():
         Paths(solid(WALLS), (8, 6), (1, 1), 3.5)
 
 
-def test_people_are_driven_around():
-    made = paths(WALLS)
-    start, target = np.array([[1.0, 3.0]] * 4), np.array([[5.0, 3.0]] * 4)
-    people = np.array([[[1.8, 2.9]], [[3.0, 3.0]], [[1.0, 2.5]], [[1.4, 2.6]]])
-    aim = made.around(start, target, people, 0.6)
-    assert aim[0, 1] > 3
-    np.testing.assert_array_equal(aim[1:3], target[1:3])
-    assert aim[3, 1] > 3
-    way = np.linspace(start[0], aim[0], 100)
-    assert np.linalg.norm(way - people[0], axis=-1).min() >= 0.6 - 1e-9
-    angle = np.arange(8) * math.pi / 4
-    ring = start[0] + 0.7 * np.stack([np.cos(angle), np.sin(angle)], -1)
-    np.testing.assert_array_equal(made.around(start[:1], target[:1], ring[None], 0.6), target[:1])
-
-
 def driven(name: str, drive: str, cells: int, tight: bool, jitter: float = 0.0) -> tuple[World, np.ndarray, np.ndarray]:
     """A world without people in the way, and random free places and goals [E, 2]."""
     config = Config(world=WorldConfig(drive=drive, layout_jitter_m=jitter))  # pyright: ignore[reportArgumentType]

@@ -25,7 +25,7 @@ def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
         ap, users = simulator.ap_position[e], world.receivers()[e]
         for place in places[e]:
             incident = _link_gains(
-                ground.medium, ground.grid, panel_m, ground.ends[e], ground.blockers[e], *place, reflected
+                ground.medium, ground.grid, panel_m, ground.ends[e], ground.blockers[e], place[0], place[1], reflected
             )
             panel = np.array([*place, panel_m])
             units = [(user - panel)[:2] / np.linalg.norm((user - panel)[:2]) for user in users]

@@ -23,7 +23,7 @@ def best_places(simulator: Simulator) -> tuple[FloatArray, FloatArray]:
     best, value = world.paths.nodes[values.argmax(1)], values.max(1)
     for step_m in _REFINING_STEPS_M:
         places = best[:, None] + step_m * _AROUND
-        free = world.free_share(np.broadcast_to(best[:, None], places.shape), places, world.paths.keep_m) == np.inf
+        free = world.free_share(best[:, None], places, world.paths.keep_m) == np.inf
         # The place itself stays a candidate, even where rounding would put it a hair too close to something.
         values = np.where(free | ~_AROUND.any(-1), place_values(simulator, places), -np.inf)
         best, value = places[cells, values.argmax(1)], values.max(1)

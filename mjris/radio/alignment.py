@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from mjris.compiled import compiled
 from mjris.radio.channel import Channels
-from mjris.radio.serving import System, ascending, serve, strength
+from mjris.radio.decoding import ascending
+from mjris.radio.serving import System, serve, strength
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -134,7 +135,7 @@ def _for_rank(system: System, direct: ComplexArray, weights: FloatArray, rank: i
     gains, liked = np.empty(len(direct)), np.empty(len(direct))
     for user in range(len(direct)):
         gains[user] = strength(direct, user)
-    order = ascending(system, gains)
+    order = ascending(system.clusters, gains)
     for v in range(len(order)):
         for place in range(order.shape[1]):
             user = order[v, place]

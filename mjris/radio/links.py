@@ -96,13 +96,6 @@ def path_loss_db(medium: Medium, distance_m: float, blockers: int) -> float:
 
 
 @compiled
-def path_gain(medium: Medium, squared_m: float, blockers: int) -> float:
-    """Power gain of one link, from its squared length [m²]: 10^(-L/10) without the detour over decibels."""
-    at_a_metre, a_decade = _loss_terms_db(medium, blockers)
-    return math.exp(-math.log(10) / 10 * at_a_metre - a_decade / 20 * math.log(max(squared_m, 1.0)))
-
-
-@compiled
 def _loss_terms_db(medium: Medium, blockers: int) -> tuple[float, float]:
     """Path loss at one metre, and how much it grows in a decade of distance, eqs. (PLLOS) and (PLNLOS)."""
     if blockers > 0:
@@ -138,6 +131,21 @@ def pattern_gain(medium: Medium, cosine: float) -> float:
     if not medium.cosine:
         return 1.0
     return 2 * (medium.exponent + 1) * cosine**medium.exponent if cosine > 0 else 0.0
+
+
+@compiled
+def panel_gain(medium: Medium, squared_m: float, blockers: int, cosine: float) -> float:
+    """Power gain of one link of the panel, from its squared length [m²]: 10^(-L/10) times `pattern_gain`.
+
+    One exponential for both, as a radio map has thousands of them.
+    """
+    at_a_metre, a_decade = _loss_terms_db(medium, blockers)
+    exponent = -math.log(10) / 10 * at_a_metre - a_decade / 20 * math.log(max(squared_m, 1.0))
+    if not medium.cosine:
+        return math.exp(exponent)
+    if cosine <= 0:
+        return 0.0
+    return 2 * (medium.exponent + 1) * math.exp(exponent + medium.exponent * math.log(cosine))
 
 
 @compiled

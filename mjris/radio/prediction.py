@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from mjris.compiled import compiled
 from mjris.config import Radio
-from mjris.radio.serving import System, cancelled, needed_share, qos_first, sort_users
+from mjris.radio.decoding import cancelled, needed_share, qos_first, sort_users
+from mjris.radio.serving import System
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
@@ -81,7 +82,7 @@ def _predict_all(
 def workspace(system: System) -> Workspace:
     """Where predictions can be worked out."""
     users = system.clusters.size
-    needed = np.full(users, needed_share(system, system.qos_bps))
+    needed = np.full(users, needed_share(system.bandwidth_hz, system.qos_bps))
     return Workspace(np.empty(users), np.empty(users), np.empty(users), needed, np.empty_like(system.clusters))
 
 
@@ -104,8 +105,8 @@ def predict(
             snr = beam_gain * gains[k] * bands * system.tx_power_w / users
             rates[k] = system.bandwidth_hz / bands * math.log1p(snr) / math.log(2)
     else:
-        sort_users(system, gains, order)
+        sort_users(system.clusters, gains, order)
         for v in range(num_clusters):
             gains[order[v, -1]] *= beam_gain
         qos_first(gains, order, system.tx_power_w / num_clusters, needed, powers)
-        cancelled(system, gains, powers, order, rates)
+        cancelled(system.bandwidth_hz, gains, powers, order, rates)

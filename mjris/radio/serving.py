@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mjris.compiled import compiled
 from mjris.config import Radio
+from mjris.radio.decoding import ascending, cancelled, needed_share, qos_first
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -48,7 +49,7 @@ def rates(system: System, channel: ComplexArray, powers_w: FloatArray, order: In
     if not (powers_w >= 0).all():
         raise ValueError(f"power_w: {powers_w} is not allowed: every power must be at least 0 W")
     order = np.empty((0, *system.clusters.shape), np.int64) if order is None else order
-    flat = _rates(system, _flat(channel, 2), _flat(np.broadcast_to(powers_w, channel.shape[:-1]), 1), order)
+    flat = _rates(system, _flat(channel, 2), _flat(_filling(powers_w, channel.shape[:-1]), 1), order)
     return flat.reshape(channel.shape[:-1])
 
 
@@ -62,7 +63,7 @@ def qos_or_sum(
     a cluster has all of its power. With OMA every user has P/K.
     """
     shape = channel.shape[:-1]
-    wanted = np.broadcast_to(system.qos_bps if wanted_bps is None else wanted_bps, shape)
+    wanted = np.full(shape, system.qos_bps) if wanted_bps is None else _filling(wanted_bps, shape)
     powers, reached = _serve_all(system, _flat(channel, 2), _flat(wanted, 1))
     return powers.reshape(shape), reached.reshape(shape)
 
@@ -84,6 +85,11 @@ def split_powers(system: System, shares: FloatArray) -> FloatArray:
     return powers
 
 
+def _filling(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """`values` broadcast to a shape, at no cost where they have it."""
+    return values if values.shape == shape else np.broadcast_to(values, shape)
+
+
 def _flat(values: np.ndarray, axes: int) -> np.ndarray:
     """`values` with all leading axes but the last `axes` in one, contiguous."""
     return np.ascontiguousarray(values).reshape(-1, *values.shape[values.ndim - axes :])
@@ -101,8 +107,8 @@ def _rates(system: System, channel: ComplexArray, powers: FloatArray, order: Int
                 for user in system.clusters[v]:
                     budgets[v] += powers[cell, user]
             gains = _effective_gains(system, channel[cell], _cluster_beams(system, channel[cell]), budgets)
-            decoded = order[cell] if len(order) > 0 else ascending(system, gains)
-            cancelled(system, gains, powers[cell], decoded, found[cell])
+            decoded = order[cell] if len(order) > 0 else ascending(system.clusters, gains)
+            cancelled(system.bandwidth_hz, gains, powers[cell], decoded, found[cell])
     return found
 
 
@@ -125,82 +131,23 @@ def serve(system: System, channel: ComplexArray, wanted: FloatArray) -> tuple[Fl
     heads = _cluster_beams(system, channel)
     budget = system.tx_power_w / len(system.clusters)
     gains = _effective_gains(system, channel, heads, np.full(len(heads), budget))
-    order = ascending(system, gains)
+    order = ascending(system.clusters, gains)
     shares, powers, reached = np.empty(users), np.empty(users), np.empty(users)
     for user in range(users):
-        shares[user] = needed_share(system, wanted[user])
+        shares[user] = needed_share(system.bandwidth_hz, wanted[user])
     qos_first(gains, order, budget, shares, powers)
-    cancelled(system, gains, powers, order, reached)
+    cancelled(system.bandwidth_hz, gains, powers, order, reached)
     for least in (system.qos_bps, 0.0):
         if reached.min() < system.qos_bps:
-            shares[:] = needed_share(system, least)
+            shares[:] = needed_share(system.bandwidth_hz, least)
             qos_first(gains, order, budget, shares, powers)
-            cancelled(system, gains, powers, order, reached)
+            cancelled(system.bandwidth_hz, gains, powers, order, reached)
     beams = np.empty_like(channel)
     for v in range(len(heads)):
         for user in system.clusters[v]:
             for m in range(heads.shape[1]):
                 beams[user, m] = heads[v, m]
     return powers, reached, beams
-
-
-@compiled
-def needed_share(system: System, least_bps: float) -> float:
-    """What part t/(1+t) = 1 - 2^(-R/B) of its SINR t a rate takes."""
-    # A hair above it, so that rounding never leaves a rate below its QoS.
-    return -math.expm1(-math.log(2) / system.bandwidth_hz * least_bps) * (1 + 1e-12)
-
-
-@compiled
-def qos_first(gains: FloatArray, order: IntArray, budget: float, needed: FloatArray, powers: FloatArray) -> None:
-    """Write `control.qos_first_split` of every cluster to `powers` [K], for users decoded in `order` [V, K/V].
-
-    `needed` [K] are the users' `needed_share`.
-    """
-    for v in range(len(order)):
-        left = budget
-        for place in range(order.shape[1] - 1):
-            user = order[v, place]
-            wanted = needed[user] * (left + 1 / gains[user])
-            powers[user] = wanted if wanted <= left else 0.0
-            left -= powers[user]
-        powers[order[v, -1]] = left
-
-
-@compiled
-def cancelled(system: System, gains: FloatArray, powers: FloatArray, order: IntArray, found: FloatArray) -> None:
-    """Write rates to `found` [K] where only users later in `order` [V, K/V] interfere, eq. (inuk).
-
-    Each is also decodable by those.
-    """
-    for v in range(len(order)):
-        later, weakest = 0.0, np.inf
-        for place in range(order.shape[1] - 1, -1, -1):
-            user = order[v, place]
-            weakest = min(weakest, gains[user])
-            sinr = weakest * powers[user] / (weakest * later + 1)
-            found[user] = system.bandwidth_hz / math.log(2) * math.log1p(sinr)
-            later += powers[user]
-
-
-@compiled
-def ascending(system: System, gains: FloatArray) -> IntArray:
-    """Users of every cluster by ascending gain [V, K/V]."""
-    order = np.empty_like(system.clusters)
-    sort_users(system, gains, order)
-    return order
-
-
-@compiled
-def sort_users(system: System, gains: FloatArray, order: IntArray) -> None:
-    """Write `ascending` to `order`."""
-    for v in range(len(order)):
-        for place in range(order.shape[1]):
-            user, free = system.clusters[v, place], place
-            while free > 0 and gains[order[v, free - 1]] > gains[user]:
-                order[v, free] = order[v, free - 1]
-                free -= 1
-            order[v, free] = user
 
 
 @compiled

@@ -45,9 +45,10 @@ class Footprints:
         return _gaps(self.arrays, np.ascontiguousarray(points))
 
     def free_run(self, start: FloatArray, end: FloatArray, inflate: float) -> NDArray[np.bool_]:
-        """Whether segments start–end, both [E, P, 2] [m], miss every rectangle grown by `inflate` [m], [E, P].
+        """Whether segments miss every rectangle grown by `inflate` [m], [E, P].
 
-        Grown rectangles keep square corners, which errs on the safe side.
+        From `start` [E, P or 1, 2] to `end` [E, P, 2] [m]. Grown rectangles keep square corners, which errs on the safe
+        side.
         """
         return self.free_share(start, end, inflate) == np.inf
 
@@ -112,10 +113,7 @@ def _entry_of(
     dx, dy = x - centre[0, office, b], y - centre[1, office, b]
     from_x, way_x, half_x = dx * ax + dy * ay, u * ax + v * ay, half[0, office, b] + inflate
     from_y, way_y, half_y = dy * ax - dx * ay, v * ax - u * ay, half[1, office, b] + inflate
-    # Most rectangles are far off, which shows without a division; the hair leaves contacts to the slabs.
-    if abs(2 * from_x + way_x) - abs(way_x) > 2 * half_x + 1e-9:
-        return np.inf
-    if abs(2 * from_y + way_y) - abs(way_y) > 2 * half_y + 1e-9:
+    if _far_off(from_x, way_x, half_x) or _far_off(from_y, way_y, half_y):
         return np.inf
     enter, leave = slab(from_x, way_x, half_x, 0.0, 1.0)
     if enter < leave:
@@ -123,6 +121,15 @@ def _entry_of(
         if enter < leave:
             return enter
     return np.inf
+
+
+@compiled
+def _far_off(origin: float, direction: float, half: float) -> bool:
+    """Whether a whole way is clearly beyond `half` of zero in one coordinate, which shows without a division.
+
+    Most rectangles are. The hair leaves whatever touches to `slab`.
+    """
+    return abs(2 * origin + direction) - abs(direction) > 2 * half + 1e-9
 
 
 @compiled
@@ -146,11 +153,11 @@ def _gaps(rectangles: Rectangles, points: FloatArray) -> FloatArray:
 
 @compiled
 def _entries(rectangles: Rectangles, start: FloatArray, end: FloatArray, inflate: float) -> FloatArray:
-    shares = np.empty(start.shape[:2])
-    for cell in range(start.shape[0]):
+    shares = np.empty(end.shape[:2])
+    for cell in range(end.shape[0]):
         office = cell % rectangles[0].shape[1]
-        for p in range(start.shape[1]):
-            x, y = start[cell, p, 0], start[cell, p, 1]
+        for p in range(end.shape[1]):
+            x, y = start[cell, p % start.shape[1]]
             shares[cell, p] = entry(rectangles, office, x, y, end[cell, p, 0] - x, end[cell, p, 1] - y, inflate)
     return shares
 

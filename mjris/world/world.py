@@ -89,9 +89,9 @@ class World:
         return self.fleet.clearance()
 
     def free_share(self, start: FloatArray, end: FloatArray, keep_m: float) -> FloatArray:
-        """Share of segments [E, P, 2] [m] up to `keep_m` [m] from what the hull can bump into but people, [E, P].
+        """Share of segments up to `keep_m` [m] from what the hull can bump into but people, [E, P].
 
-        It is inf where nothing is in the way.
+        From `start` [E, P or 1, 2] to `end` [E, P, 2] [m]. It is inf where nothing is in the way.
         """
         return self._hull_solid.free_share(start, end, keep_m)
 

@@ -117,7 +117,9 @@ def learning_rate(name: str, scale: Scale) -> list[Curve]:
 
 def elements(name: str, scale: Scale) -> list[Curve]:
     """Sum rate over the number of reflecting elements."""
-    sides = {number: dict(zip(("panel_rows", "panel_cols"), PANELS[number], strict=True)) for number in scale.elements}
+    sides: dict[int, dict[str, Any]] = {
+        number: dict(zip(("panel_rows", "panel_cols"), PANELS[number], strict=True)) for number in scale.elements
+    }
     return [
         _curve("elements", name, BASE, scheme, scale, x=number, radio=panel)
         for number, panel in sides.items()

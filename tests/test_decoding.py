@@ -1,0 +1,49 @@
+import math
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mjris.radio.control import qos_first_split
+from mjris.radio.decoding import ascending, cancelled, needed_share, qos_first
+
+SEEDS = st.integers(0, 2**32 - 1)
+BANDWIDTH_HZ = 2.0
+
+
+@given(SEEDS)
+def test_splits_are_those_of_control_and_give_what_is_wanted(seed):
+    rng = np.random.default_rng(seed)
+    clusters = rng.permutation(6).reshape(2, 3)
+    gains, least = 10 ** rng.uniform(-2, 3, 6), rng.uniform(0, 2, 6)
+    order = ascending(clusters, gains)
+    powers, rates = np.empty(6), np.empty(6)
+    needed = np.array([needed_share(BANDWIDTH_HZ, rate) for rate in least])
+    qos_first(gains, order, 3.0, needed, powers)
+    expected = qos_first_split(gains[order], np.array([3.0, 3.0]), BANDWIDTH_HZ, least[order])
+    np.testing.assert_allclose(powers[order], expected, rtol=1e-12)
+    cancelled(BANDWIDTH_HZ, gains, powers, order, rates)
+    served = (powers > 0) & ~np.isin(np.arange(6), order[:, -1])
+    np.testing.assert_allclose(rates[served], least[served], rtol=1e-9)
+
+
+@given(SEEDS)
+def test_rates_are_limited_by_whoever_decodes_later(seed):
+    """By a loop over the formula, in any order of decoding."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(6).reshape(2, 3)
+    gains, powers, found = 10 ** rng.uniform(-2, 3, 6), rng.uniform(0, 1, 6), np.empty(6)
+    cancelled(BANDWIDTH_HZ, gains, powers, order, found)
+    for cluster in order:
+        for place, user in enumerate(cluster):
+            later = sum(powers[cluster[place + 1 :]])
+            sinr = min(gains[by] * powers[user] / (gains[by] * later + 1) for by in cluster[place:])
+            np.testing.assert_allclose(found[user], BANDWIDTH_HZ * math.log2(1 + sinr), rtol=1e-9)
+
+
+@given(SEEDS)
+def test_ascending_sorts_every_cluster(seed):
+    rng = np.random.default_rng(seed)
+    clusters, gains = rng.permutation(8).reshape(2, 4), rng.uniform(size=8)
+    expected = [sorted(cluster, key=lambda user: gains[user]) for cluster in clusters]
+    np.testing.assert_array_equal(ascending(clusters, gains), expected)
