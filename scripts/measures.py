@@ -127,7 +127,8 @@ def sight(repeats: int, calls: int) -> list[list[float]]:
 
 def federation(base: Config, repeats: int, cells: int, slots: int, ways: Sequence[dict[str, Any]]) -> list[list[float]]:
     """Agent-steps a second of stock SB3 agents one after another, and of each way to train ours, start-up left out."""
-    base = replace(base, task=replace(base.task, slots=slots))
+    # The warm-up is over with the first episode, whose time is left out.
+    base = replace(base, task=replace(base.task, slots=slots), agent=replace(base.agent, warmup_slots=slots))
 
     def trained(way: dict[str, Any]) -> float:
         return training_seconds(

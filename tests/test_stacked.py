@@ -101,7 +101,7 @@ def test_a_stacked_update_equals_sb3s_own(settings: dict, dtype: torch.dtype, at
         sb3_update(agents, random_batch(rng, 3, 32, dtype))
     stack = StackedDDPG(agents)
     batch = random_batch(rng, 3, 32, dtype)
-    actor_losses, critic_losses = stack.update(copied(batch))
+    actor_losses, critic_losses = stack.update(copied(batch)).losses()
     sb3_update(agents, batch)
     ignore = ROUNDED_AWAY if dtype == torch.float32 else ()
     for index, agent in enumerate(agents):
@@ -158,7 +158,7 @@ def test_every_tensor_of_a_step_is_made_on_the_device_of_the_stack(network: str)
         for slot in range(12):
             observations, actions, following = rng.normal(size=(3, 2, 2)).astype(np.float32)
             memory.add(observations, actions, rng.normal(size=2), following, slot == 9)
-        losses = stack.update(memory.batch(rng.integers(0, 12, (2, 32))))
+        losses = stack.update(memory.batch(rng.integers(0, 12, (2, 32)))).losses()
         acted = stack.act(torch.from_numpy(following))
     assert {tensor.device.type for tensor in (*losses, acted, *stack.state(0).values())} == {"cpu"}
 

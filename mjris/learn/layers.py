@@ -1,6 +1,6 @@
 """Layers of A agents as one, with a leading axis of agents; gradients are written out, as there are so few kinds."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -36,7 +36,7 @@ class StackedLinear(StackedLayer):
     def forward(self, inputs: Tensor, training: bool) -> Tensor:  # noqa: ARG002 - the same in training
         """x W + b."""
         self._inputs = inputs
-        return torch.baddbmm(self._bias, inputs, self._weight)
+        return torch.bmm(inputs, self._weight).add_(self._bias)
 
     def backward(self, gradient: Tensor, learn: bool, through: slice | None) -> Tensor | None:
         """dx = dy Wᵀ, dW = xᵀ dy, db = Σ dy."""
@@ -132,20 +132,27 @@ class Tanh(StackedLayer):
 class StackedNetwork:
     """Sequential networks of A agents, of equal shapes, as one. Raises `TypeError` for a layer without a stacked form.
 
-    All parameters are one tensor, and so are their gradients: what is done to each number is one operation.
+    All parameters are one tensor, and so are their gradients: what is done to each number is one operation. One
+    parameter of all agents follows the other, so that products of a layer write to memory without gaps.
     """
 
     def __init__(self, networks: Sequence[nn.Module], device: str = "cpu"):
         first = networks[0]
+        self._agents = len(networks)
         self._shapes = {name: turned(parameter).shape for name, parameter in first.named_parameters()}
-        self.parameters = torch.stack([flattened(network.parameters()) for network in networks]).to(device)
-        """[A, P]"""
+        numbers = sum(shape.numel() for shape in self._shapes.values())
+        self.parameters = torch.empty(self._agents * numbers, dtype=next(first.parameters()).dtype, device=device)
+        """[A·P]"""
         self.gradients = torch.zeros_like(self.parameters)
-        """[A, P], of the last `backward` that learned."""
+        """[A·P], of the last `backward` that learned."""
+        parameters = self.split(self.parameters)
+        for agent, network in enumerate(networks):
+            for name, parameter in network.named_parameters():
+                parameters[name][agent] = turned(parameter.detach())
         columns = zip(*(network.named_buffers() for network in networks), strict=True)
         self.statistics = {column[0][0]: torch.stack([buffer for _, buffer in column]).to(device) for column in columns}
         """Of batch norms [A, ...], by name."""
-        self.state = self.split(self.parameters) | self.statistics
+        self.state = parameters | self.statistics
         """Parameters and statistics [A, ...] by the names that they have in the agents, weights [A, in, out]."""
         gradients = self.split(self.gradients)
         self._layers = [
@@ -154,11 +161,9 @@ class StackedNetwork:
         ]
 
     def split(self, flat: Tensor) -> dict[str, Tensor]:
-        """[..., P] as a view [..., *shape] for every parameter, by name."""
-        parts = flat.split([shape.numel() for shape in self._shapes.values()], -1)
-        return {
-            name: part.unflatten(-1, shape) for part, (name, shape) in zip(parts, self._shapes.items(), strict=True)
-        }
+        """[A·P] as a view [A, *shape] for every parameter, by name."""
+        parts = flat.split([self._agents * shape.numel() for shape in self._shapes.values()])
+        return {name: part.view(-1, *shape) for part, (name, shape) in zip(parts, self._shapes.items(), strict=True)}
 
     def forward(self, inputs: Tensor, training: bool = False) -> Tensor:
         """Outputs [A, B, out] for inputs [A, B, in], normalised by the minibatch's statistics in training."""
@@ -182,11 +187,6 @@ class StackedNetwork:
 def turned(tensor: Tensor) -> Tensor:
     """Weights [out, in] as a stack holds them, or the other way round; anything else as it is."""
     return tensor.T if tensor.ndim == 2 else tensor
-
-
-def flattened(tensors: Iterable[Tensor]) -> Tensor:
-    """What belongs to an agent's parameters, in their order, as a stack holds it [P]."""
-    return torch.cat([turned(tensor.detach()).flatten() for tensor in tensors])
 
 
 def _of_layer(number: str, tensors: Tensors) -> Tensors:

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 import torch
 from stable_baselines3 import DDPG
 from torch import Tensor
 
 from mjris.learn.agent import CautiousCritic
-from mjris.learn.layers import StackedNetwork, flattened, turned
+from mjris.learn.layers import StackedNetwork, turned
 from mjris.learn.replay import Batch
 
 # The networks of an agent that `State` holds, and how each names its sequence of layers.
@@ -45,11 +46,8 @@ class StackedDDPG:
         return self._actor.forward(observations.to(self._device)[:, None])[:, 0].cpu()
 
     @torch.inference_mode()
-    def update(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """One gradient step of every agent, as in SB3's `DDPG.train`: losses of the actors and of the critics [A].
-
-        Writes over the actions in the batch.
-        """
+    def update(self, batch: Batch) -> "Judgement":
+        """One gradient step of every agent, as in SB3's `DDPG.train`. Writes over the actions in the batch."""
         batch.next_actions.copy_(self._actor_target.forward(batch.next_observations))
         next_values = self._critic_target.forward(batch.next_pairs)
         errors = self._critic.forward(batch.pairs, training=True)
@@ -58,26 +56,23 @@ class StackedDDPG:
         self._optimizers["critic"].step()
 
         batch.actions.copy_(self._actor.forward(batch.observations, training=True))
-        actor_losses, gradient = self._judge(batch)
-        self._actor.learn(gradient)
+        values = self._critic.forward(batch.pairs)
+        scale = 1 / values.abs().mean((1, 2), keepdim=True) if self._caution else torch.ones_like(values[:, :1])
+        self._actor.learn(self._gradient_in_actions(batch.actions, scale))
         self._optimizers["actor"].step()
         self._move_targets()
-        return actor_losses, errors.square().mean((1, 2))
+        return Judgement(scale * values, self._caution, batch.actions, errors)
 
-    def _judge(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """The actors' losses [A] for the actions in the batch, and the gradient in the actions.
+    def _gradient_in_actions(self, actions: Tensor, scale: Tensor) -> Tensor:
+        """That of the actors' losses [A, B, n], for the values of the critics' last `forward` by `scale` [A, 1, 1].
 
         With the critics' running statistics, see `PaperCritic`, or with their caution, see `CautiousCritic`.
         """
-        rows, size = batch.actions.shape[1:]
-        values = self._critic.forward(batch.pairs)
-        scale = 1 / values.abs().mean((1, 2), keepdim=True) if self._caution else torch.ones_like(values[:, :1])
-        through = self._critic.through((-scale / rows).repeat(1, rows, 1), inputs=slice(-size, None))
-        losses = -(scale * values).mean((1, 2))
+        rows, size = actions.shape[1:]
+        gradient = self._critic.through((-scale / rows).expand(-1, rows, 1), inputs=slice(-size, None))
         if self._caution:
-            losses += self._caution * batch.actions.square().mean((1, 2))
-            through += batch.actions * (2 * self._caution / (rows * size))
-        return losses, through
+            gradient.add_(actions, alpha=2 * self._caution / (rows * size))
+        return gradient
 
     def _move_targets(self) -> None:
         for network, target in ((self._actor, self._actor_target), (self._critic, self._critic_target)):
@@ -110,6 +105,23 @@ class StackedDDPG:
         }
 
 
+class Judgement(NamedTuple):
+    """What agents were judged by in an update."""
+
+    values: Tensor
+    """Of the actors' actions, as the actors see them [A, B, 1]."""
+    caution: float
+    actions: Tensor
+    """[A, B, n]"""
+    errors: Tensor
+    """Of the critics [A, B, 1]."""
+
+    def losses(self) -> tuple[Tensor, Tensor]:
+        """Of the actors and of the critics [A], as SB3 logs them."""
+        actors = self.caution * self.actions.square().mean((1, 2)) - self.values.mean((1, 2))
+        return actors, self.errors.square().mean((1, 2))
+
+
 class StackedAdam:
     """The Adam optimizers of a stacked network's agents, each from where it is.
 
@@ -117,24 +129,25 @@ class StackedAdam:
     """
 
     def __init__(self, optimizers: Sequence[torch.optim.Optimizer], network: StackedNetwork):
-        self._split = network.split
         states = [list(optimizer.state_dict()["state"].values()) for optimizer in optimizers]
         steps = [float(entries[0]["step"]) if entries else 0.0 for entries in states]
         if len(set(steps)) > 1:
             raise ValueError("optimizers: those of a stack must be equally many steps on")
-        self._moments = {key: torch.zeros_like(network.parameters) for key in ("exp_avg", "exp_avg_sq")}
-        for key, moment in self._moments.items():
-            for own, entries in zip(moment, states, strict=True):
-                if entries:
-                    own.copy_(flattened(entry[key] for entry in entries))
+        moments = {key: torch.zeros_like(network.parameters) for key in ("exp_avg", "exp_avg_sq")}
+        self._moments = {key: list(network.split(moment).values()) for key, moment in moments.items()}
+        for key, parameters in self._moments.items():
+            for agent, entries in enumerate(states):
+                for parameter, entry in zip(parameters, entries, strict=bool(entries)):
+                    parameter[agent] = turned(entry[key])
         self._steps = torch.tensor(steps[0], device=network.parameters.device)
         self._groups = []
         """Agents next to each other that have the same learning rate: what changes in a step, and the rate."""
-        tensors = network.parameters, network.gradients, *self._moments.values()
+        tensors = [list(network.split(flat).values()) for flat in (network.parameters, network.gradients)]
+        tensors += self._moments.values()
         first = 0
         for rate, group in groupby(optimizer.param_groups[0]["lr"] for optimizer in optimizers):
             agents = slice(first, first := first + len(list(group)))
-            self._groups.append(([[tensor[agents]] for tensor in tensors], rate))
+            self._groups.append(([[parameter[agents] for parameter in each] for each in tensors], rate))
         (self._beta1, self._beta2), self._eps = optimizers[0].defaults["betas"], optimizers[0].defaults["eps"]
 
     def step(self) -> None:
@@ -145,7 +158,7 @@ class StackedAdam:
             torch.ops.aten._fused_adam_(
                 *tensors,
                 [],
-                [self._steps],
+                [self._steps] * len(tensors[0]),
                 lr=rate,
                 beta1=self._beta1,
                 beta2=self._beta2,
@@ -157,11 +170,10 @@ class StackedAdam:
 
     def store(self, index: int, optimizer: torch.optim.Optimizer) -> None:
         """Write one agent's state back to its own optimizer."""
-        moments = {key: self._split(moment[index]).values() for key, moment in self._moments.items()}
         state = {
             number: {"step": self._steps.to("cpu", copy=True)}
-            | {key: _single(value) for key, value in zip(moments, values, strict=True)}
-            for number, values in enumerate(zip(*moments.values(), strict=True))
+            | {key: _single(moment[index]) for key, moment in zip(self._moments, moments, strict=True)}
+            for number, moments in enumerate(zip(*self._moments.values(), strict=True))
         }
         optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 

@@ -146,7 +146,7 @@ class StackedRuns:
         """Play and learn one episode in every cell; its metrics, one of each agent."""
         slots = self._config.task.slots
         draws = self._draw(generators)
-        rewards, infos, losses = [], [], None
+        rewards, infos, judgement = [], [], None
         for slot in range(slots):
             actions = np.clip(self._policy.scale_action(self._act(draws, slot)) + draws.noise[slot], -1, 1)
             reward, info = self._step(actions, last=slot + 1 == slots)
@@ -155,9 +155,9 @@ class StackedRuns:
             # The updates are those of the last slots: there is none in the warm-up.
             update = len(draws.rows) - slots + slot
             if update >= 0:
-                losses = self._learner.update(self._memory.batch(draws.rows[update]))
+                judgement = self._learner.update(self._memory.batch(draws.rows[update]))
         self._updates += len(draws.rows)
-        metrics = []
+        metrics, losses = [], None if judgement is None else judgement.losses()
         for index, (agent, (_, u)) in enumerate(zip(self._agents, self._members, strict=True)):
             own = [float(reward[index]) for reward in rewards]
             metrics.append(episode_metrics(round_, episode, u, own, [info[index] for info in infos]))
