@@ -36,7 +36,7 @@ def progress() -> Progress:
 def train(configs: Sequence[Config], folder: Path) -> list[Path]:
     """`train_missing` with a bar over the episodes."""
     with progress() as shown:
-        bar = shown.add_task("episodes of training", total=None)
+        bar = shown.add_task("episodes of training", total=0)
         return train_missing(configs, folder, report=lambda done, total: shown.update(bar, completed=done, total=total))
 
 

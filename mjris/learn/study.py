@@ -1,5 +1,6 @@
 """Many runs in a folder, each kept under a hash of its config: what is finished is not trained again."""
 
+import gc
 import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -111,3 +112,5 @@ def _train_stack(stack: Sequence[Config], folder: Path, make_env: EnvFactory) ->
         train_many(stack, outs, report=report, make_env=make_env, cores=1)
         for config, out in zip(stack, outs, strict=True):
             out.rename(run_folder(config, folder))
+    # Agents refer to themselves in circles, and hold some 100 MiB a stack.
+    gc.collect()
