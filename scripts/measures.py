@@ -34,6 +34,9 @@ from mjris.task import Task
 from mjris.world.office import GROUP_BLOCKERS
 
 CELLS = 64
+ROUND_EPISODES = 4
+"""Of trainings: shorter rounds would have more averages and checkpoints than the presets' own."""
+TWO_ROUNDS = {"episodes": 2 * ROUND_EPISODES, "round_episodes": ROUND_EPISODES}
 Times = list[float]
 
 
@@ -127,14 +130,14 @@ def sight(repeats: int, calls: int) -> list[list[float]]:
 
 def federation(base: Config, repeats: int, cells: int, slots: int, ways: Sequence[dict[str, Any]]) -> list[list[float]]:
     """Agent-steps a second of stock SB3 agents one after another, and of each way to train ours, start-up left out."""
-    # The warm-up is over with the first episode, whose time is left out.
+    # The warm-up is over with the first episode, and the time of its round is left out.
     base = replace(base, task=replace(base.task, slots=slots), agent=replace(base.agent, warmup_slots=slots))
 
     def trained(way: dict[str, Any]) -> float:
         return training_seconds(
             replace(
                 base,
-                federation=replace(base.federation, num_cells=cells, episodes=3, round_episodes=1, **way),
+                federation=replace(base.federation, num_cells=cells, **TWO_ROUNDS, **way),
             )
         )
 
@@ -143,7 +146,7 @@ def federation(base: Config, repeats: int, cells: int, slots: int, ways: Sequenc
         # One agent after another: each has the speed of one.
         measured[0].append(slots / stock_seconds(base, slots))
         for way, rate in zip(ways, measured[1:], strict=True):
-            rate.append(cells * 2 * slots / trained(way))
+            rate.append(cells * ROUND_EPISODES * slots / trained(way))
     return measured
 
 

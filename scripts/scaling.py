@@ -80,9 +80,9 @@ def training(cells: int) -> float:
         config,
         task=replace(config.task, slots=_SLOTS),
         agent=replace(config.agent, warmup_slots=_SLOTS),
-        federation=replace(config.federation, num_cells=cells, episodes=2, round_episodes=1, backend="stacked"),
+        federation=replace(config.federation, num_cells=cells, backend="stacked", **measures.TWO_ROUNDS),
     )
-    return measures.training_seconds(config) / _SLOTS
+    return measures.training_seconds(config) / (measures.ROUND_EPISODES * _SLOTS)
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
