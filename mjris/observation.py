@@ -33,15 +33,7 @@ def channel_state(simulator: Simulator) -> Seen:
     users, (elements, antennas) = scene.users_xy.shape[1], scene.channels.incident.shape[1:]
     width = 4 + 4 * users + 1 + 2 * (users * antennas + elements * antennas + users * elements)
     seen = np.empty((simulator.num_cells, width), np.float32)
-    _write_channel_state(
-        seen,
-        scene.rover_xy,
-        scene.panel_heading,
-        scene.users_xy,
-        simulator.room_m,
-        scene.path_loss_db,
-        scene.channels,
-    )
+    _write_channel_state(seen, *_geometry(simulator), scene.channels)
     return seen
 
 
@@ -57,20 +49,15 @@ def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) 
     free = world.free_share(scene.rover_xy[:, None], ends, world.hull_radius_m + world.config.bumper_m)
     width = 4 + 8 * scene.users_xy.shape[1] + 1 + len(_AROUND) + len(_CIRCLE) + 3
     seen = np.empty((simulator.num_cells, width), np.float32)
-    _write_radio_map(
-        seen,
-        scene.rover_xy,
-        scene.panel_heading,
-        scene.users_xy,
-        simulator.room_m,
-        scene.path_loss_db,
-        scene.channels,
-        place_values(simulator, around),
-        free,
-        goal,
-        promised_bps,
-    )
+    values_bps = place_values(simulator, around)
+    _write_radio_map(seen, *_geometry(simulator), scene.channels, values_bps, free, goal, promised_bps)
     return seen
+
+
+def _geometry(simulator: Simulator) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Rovers [E, 2] [m], panels' headings [E], users [E, K, 2] [m], rooms [E, 2] [m], path losses [E, 2K + 1] [dB]."""
+    scene = simulator.scene
+    return scene.rover_xy, scene.panel_heading, scene.users_xy, simulator.room_m, scene.path_loss_db
 
 
 @compiled

@@ -5,7 +5,8 @@ from mjris.config import Config, World
 from mjris.simulator import Simulator
 from mjris.streams import CellId
 from mjris.world.jitter import jittered
-from mjris.world.layout import check_layout, layout_names, load_layout
+from mjris.world.layout import layout_names, load_layout
+from mjris.world.layout_checks import check_layout
 
 DISTANCE_M = 0.3
 

@@ -5,7 +5,8 @@ import pytest
 
 from mjris.config import ConfigError
 from mjris.world import layout as layout_module
-from mjris.world.layout import Layout, check_layout, layout_names, load_layout
+from mjris.world.layout import Layout, layout_names, load_layout
+from mjris.world.layout_checks import check_layout
 
 HEAD = """
 room.size = [6.0, 5.0, 3.0]

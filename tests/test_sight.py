@@ -9,7 +9,8 @@ import pytest
 
 from mjris.config import Config, ConfigError
 from mjris.config import World as WorldConfig
-from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, check_layout, layout_names, load_layout
+from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, layout_names, load_layout
+from mjris.world.layout_checks import check_layout
 from mjris.world.office import GROUP_BLOCKERS, PERSON_HEIGHT_M, PERSON_RADIUS_M
 from mjris.world.world import World
 

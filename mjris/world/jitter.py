@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from mjris.config import ConfigError
-from mjris.world.layout import Layout, check_layout
+from mjris.world.layout import Layout
+from mjris.world.layout_checks import check_layout
 
 _TRIES = 3
 

@@ -84,7 +84,7 @@ def _rows(
     """`SightMap.blockers`, and the offices and lower squares that it does not know yet."""
     cells, users = low.shape[:2]
     rows = np.empty((cells, users + 1, between.shape[2]), np.int8)
-    unknown = [(0, 0) for _ in range(0)]
+    unknown = [(0, 0) for _ in range(0)]  # empty, and of a type that Numba can tell
     for cell in range(cells):
         office = cell % len(between)
         rows[cell, users] = from_ap[office]
