@@ -1,6 +1,7 @@
 """A task whose cells are spread over processes: this one and workers."""
 
 import multiprocessing
+import time
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
@@ -8,11 +9,15 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.board import Board
 from mjris.config import Config
 from mjris.constraints import Constraints
 from mjris.simulator import Slot
 from mjris.streams import CellId
 from mjris.task import Task
+
+_AWAKE_S = 2e-3
+"""How long a process looks for a message before it sleeps: to be woken takes it as long as several cells take."""
 
 
 class Columns(NamedTuple):
@@ -34,6 +39,17 @@ class Part(NamedTuple):
     reward: NDArray[np.floating]
     """[E] [Mb/s]"""
     columns: Columns
+
+    def arrays(self) -> list[NDArray[Any]]:
+        """All arrays, of the columns too."""
+        return [self.observation, self.reward, *self.columns[:-1], *self.columns.constraints]
+
+    @classmethod
+    def of(cls, arrays: Sequence[NDArray[Any]]) -> "Part":
+        """From all arrays, as `arrays` gives them."""
+        (observation, reward), rest = arrays[:2], arrays[2:]
+        columns, constraints = rest[: -len(Constraints._fields)], rest[-len(Constraints._fields) :]
+        return cls(observation, reward, Columns(*columns, Constraints(*constraints)))
 
 
 def info_columns(slot: Slot) -> Columns:
@@ -111,22 +127,30 @@ class _Worker:
         self._process = context.Process(target=_serve, args=(theirs, config, cells), daemon=True)
         self._process.start()
         theirs.close()
+        self._board: Board | None = None
 
     def ask(self, method: str, argument: Any) -> None:
         self._pipe.send((method, argument))
 
     def answer(self) -> Any:
         try:
-            answer = self._pipe.recv()
+            answer = _receive(self._pipe)
         except EOFError:
             raise RuntimeError("a worker process of the environment has ended by itself") from None
         if isinstance(answer, Exception):
             raise answer
+        if isinstance(answer, Board):
+            self._board = answer
+        if answer is None or isinstance(answer, Board):
+            assert self._board is not None
+            return Part.of(self._board.read())
         return answer
 
     def close(self) -> None:
         self._pipe.close()
         self._process.join()
+        if self._board is not None:
+            self._board.close()
 
 
 def _call(task: Task, method: str, argument: Any) -> Any:
@@ -138,14 +162,34 @@ def _call(task: Task, method: str, argument: Any) -> Any:
 
 
 def _serve(pipe: Connection, config: Config, cells: Sequence[CellId]) -> None:
-    """Answer what comes through the pipe until its other end is closed."""
+    """Answer what comes through the pipe until its other end is closed.
+
+    Parts are left on a board, which is the first one's answer; that of the later ones is None.
+    """
+    board: Board | None = None
     try:
         task = Task(config, cells)
-        pipe.send(None)
+        pipe.send("ready")
         while True:
-            method, argument = pipe.recv()
-            pipe.send(_call(task, method, argument))
+            method, argument = _receive(pipe)
+            answer = _call(task, method, argument)
+            if isinstance(answer, Part):
+                arrays = answer.arrays()
+                answer = None if board else (board := Board.like(arrays))
+                board.write(arrays)
+            pipe.send(answer)
     except (EOFError, KeyboardInterrupt):
         pass
     except Exception as error:
         pipe.send(error)
+    finally:
+        if board is not None:
+            board.close()
+
+
+def _receive(pipe: Connection) -> Any:
+    """What comes through the pipe. Raises `EOFError` where its other end is closed."""
+    asleep = time.perf_counter() + _AWAKE_S
+    while not pipe.poll() and time.perf_counter() < asleep:
+        pass
+    return pipe.recv()
