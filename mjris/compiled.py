@@ -26,11 +26,20 @@ def compiled(function: F) -> F:
 
     A division by zero gives inf or nan, as in NumPy.
     """
+    return _compiled(function, forceinline=False)
+
+
+def inlined(function: F) -> F:
+    """`compiled`, and again into each of its callers: only loops that call nothing are done in vectors."""
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: F, forceinline: bool) -> F:
     # Numba itself notices changes of the function's own file, but not of those that it calls or takes constants from.
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_cache_dir(before))
     try:
-        return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+        return cast(F, numba.njit(cache=True, error_model="numpy", forceinline=forceinline)(function))
     finally:
         numba.config.CACHE_DIR = before
 

@@ -49,7 +49,7 @@ class Part(NamedTuple):
         """From all arrays, as `arrays` gives them."""
         (observation, reward), rest = arrays[:2], arrays[2:]
         columns, constraints = rest[: -len(Constraints._fields)], rest[-len(Constraints._fields) :]
-        return cls(observation, reward, Columns(*columns, Constraints(*constraints)))
+        return cls(observation, reward, Columns(*columns, constraints=Constraints(*constraints)))
 
 
 def info_columns(slot: Slot) -> Columns:

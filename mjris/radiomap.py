@@ -128,49 +128,59 @@ def _best(
 @compiled
 def _values(ground: _Floor, places: FloatArray, wanted: BoolArray) -> FloatArray:
     """Values [E, P] [bit/s] of those `places` [E or 1, P, 2] [m] that are wanted [E, P], -inf of the others."""
-    values = np.full(wanted.shape, -np.inf)
-    medium, grid = ground.medium, ground.grid
-    work, reflected = prediction.workspace(ground.system), np.empty(ground.direct.shape[1])
-    for e in range(wanted.shape[0]):
-        here, ends, blockers, direct = places[e % len(places)], ground.ends[e], ground.blockers[e], ground.direct[e]
-        for p in range(wanted.shape[1]):
+    values, users = np.full(wanted.shape, -np.inf), ground.direct.shape[1]
+    for e in range(len(values)):
+        here = places[e % len(places)][wanted[e]]
+        gains, rates = np.empty((users + 1, len(here))), np.empty((users, len(here)))
+        _link_gains(ground, e, here, gains)
+        prediction.with_panel(ground.system, ground.arrays, ground.direct[e], gains[users], gains[:users])
+        prediction.predict(ground.system, ground.arrays, gains[:users], rates)
+        at = 0
+        for p in range(len(wanted[e])):
             if wanted[e, p]:
-                x, y = here[p, 0], here[p, 1]
-                incident = _link_gains(medium, grid, ground.panel_height_m, ends, blockers, x, y, reflected)
-                prediction.predict(ground.system, ground.arrays, direct, incident, reflected, work)
-                values[e, p] = _penalised(work.rates, ground.system.qos_bps, ground.qos_penalty)
+                values[e, p] = _penalised(rates[:, at], ground.system.qos_bps, ground.qos_penalty)
+                at += 1
     return values
 
 
 @compiled
-def _link_gains(
-    medium: links.Medium,
-    grid: Grid,
-    height_m: float,
-    ends: FloatArray,
-    blockers: SmallArray,
-    x: float,
-    y: float,
-    reflected: FloatArray,
-) -> float:
-    """The power gain AP–RIS of a panel at a place, patterns included; writes those of RIS–users to `reflected` [K].
+def _link_gains(ground: _Floor, cell: int, places: FloatArray, gains: FloatArray) -> None:
+    """Write the power gains of the links RIS–users and, last, AP–RIS to `gains` [K + 1, P], patterns included.
 
-    Its centre is `height_m` above the floor; `ends` [K + 1, 3] and `blockers` [K + 1, s] are a cell's part of those in
-    `_Floor`.
+    For a panel in a cell at `places` [P, 2] [m], which faces the bisector of AP and users.
     """
-    here, incident = square(grid, x, y), 0.0
-    forward_x, forward_y = links.bisector(ends, x, y)
-    facing = forward_x * forward_x + forward_y * forward_y
+    ends, blockers = ground.ends[cell], ground.blockers[cell]
+    x, y = places[:, 0].copy(), places[:, 1].copy()
+    forward_x, forward_y = np.empty(len(x)), np.empty(len(x))
+    squares, behind = np.empty(len(x), np.int64), np.empty(len(x))
+    links.bisectors(ends, x, y, forward_x, forward_y)
+    for p in range(len(x)):
+        squares[p] = square(ground.grid, x[p], y[p])
     for end in range(len(ends)):
-        to_x, to_y, to_z = ends[end, 0] - x, ends[end, 1] - y, ends[end, 2] - height_m
-        squared = to_x * to_x + to_y * to_y + to_z * to_z
-        cosine = (forward_x * to_x + forward_y * to_y) / math.sqrt(max(squared * facing, 1e-24))
-        gain = links.panel_gain(medium, squared, blockers[end, here], cosine)
-        if end < len(reflected):
-            reflected[end] = gain
-        else:
-            incident = gain
-    return incident
+        for p in range(len(x)):
+            behind[p] = blockers[end, squares[p]]
+        _gains(ground.medium, ends[end], ground.panel_height_m, x, y, forward_x, forward_y, behind, gains[end])
+
+
+@compiled
+def _gains(
+    medium: links.Medium,
+    end: FloatArray,
+    panel_height_m: float,
+    x: FloatArray,
+    y: FloatArray,
+    forward_x: FloatArray,
+    forward_y: FloatArray,
+    behind: FloatArray,
+    gains: FloatArray,
+) -> None:
+    end_x, end_y, rise = end[0], end[1], end[2] - panel_height_m
+    for p in range(len(x)):
+        to_x, to_y = end_x - x[p], end_y - y[p]
+        squared = to_x * to_x + to_y * to_y + rise * rise
+        facing = forward_x[p] * forward_x[p] + forward_y[p] * forward_y[p]
+        cosine = (forward_x[p] * to_x + forward_y[p] * to_y) / math.sqrt(max(squared * facing, 1e-24))
+        gains[p] = links.panel_gain(medium, squared, behind[p], cosine)
 
 
 @compiled

@@ -253,8 +253,10 @@ class Simulator:
 @compiled
 def _bisectors(ends: FloatArray, places: FloatArray) -> FloatArray:
     """`Simulator.bisector` for users and AP at `ends` [E, K + 1, 2] [m]."""
-    headings = np.empty(len(places))
+    headings, x, y = np.empty(len(places)), places[:, 0].copy(), places[:, 1].copy()
+    forward_x, forward_y = np.empty(len(x)), np.empty(len(x))
     for e in range(len(places)):
-        x, y = links.bisector(ends[e], places[e, 0], places[e, 1])
-        headings[e] = math.atan2(y, x)
+        own = slice(e, e + 1)
+        links.bisectors(ends[e], x[own], y[own], forward_x[own], forward_y[own])
+        headings[e] = math.atan2(forward_y[e], forward_x[e])
     return headings

@@ -20,19 +20,17 @@ def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
     rng = np.random.default_rng(0)
     places = rng.uniform((0.5, 0.5), (14.5, 19.5), (3, 20, 2))
     panel_m = OFFICE.world.panel_height_m
-    world, ground, reflected = simulator.world, _floor(simulator), np.empty(4)
+    world, ground, gains = simulator.world, _floor(simulator), np.empty((5, 20))
     for e in range(3):
         ap, users = simulator.ap_position[e], world.receivers()[e]
-        for place in places[e]:
-            incident = _link_gains(
-                ground.medium, ground.grid, panel_m, ground.ends[e], ground.blockers[e], place[0], place[1], reflected
-            )
+        _link_gains(ground, e, places[e], gains)
+        for place, of_place in zip(places[e], gains.T, strict=True):
             panel = np.array([*place, panel_m])
             units = [(user - panel)[:2] / np.linalg.norm((user - panel)[:2]) for user in users]
             toward_users = np.mean(units, 0) / np.linalg.norm(np.mean(units, 0))
             facing = toward_users + (ap - panel)[:2] / np.linalg.norm((ap - panel)[:2])
             facing = np.array([*facing, 0]) / np.linalg.norm(facing)
-            for k, (end, found) in enumerate([*zip(users, reflected, strict=True), (ap, incident)]):
+            for k, (end, found) in enumerate(zip([*users, ap], of_place, strict=True)):
                 middle = np.rint(place / 0.5) * 0.5
                 start = end if k == 4 else np.array([*np.rint(end[:2] / 0.5) * 0.5, end[2]])
                 stop = np.array([*middle, panel[2]])

@@ -54,13 +54,6 @@ def cancelled(bandwidth_hz: float, gains: FloatArray, powers: FloatArray, order:
 def ascending(clusters: IntArray, gains: FloatArray) -> IntArray:
     """Users of every cluster [V, K/V] by ascending gain [V, K/V]."""
     order = np.empty_like(clusters)
-    sort_users(clusters, gains, order)
-    return order
-
-
-@compiled
-def sort_users(clusters: IntArray, gains: FloatArray, order: IntArray) -> None:
-    """Write `ascending` to `order`."""
     for v in range(len(order)):
         for place in range(order.shape[1]):
             user, free = clusters[v, place], place
@@ -68,3 +61,4 @@ def sort_users(clusters: IntArray, gains: FloatArray, order: IntArray) -> None:
                 order[v, free] = order[v, free - 1]
                 free -= 1
             order[v, free] = user
+    return order

@@ -6,22 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris import vectors
+from mjris.compiled import compiled, inlined
 from mjris.config import Radio
 from mjris.radio.channel import Channels
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
-
-_SERIES = tuple(
-    (
-        (-1) ** k * math.pi ** (2 * k + 1) / math.factorial(2 * k + 1),
-        (-1) ** k * math.pi ** (2 * k) / math.factorial(2 * k),
-    )
-    for k in range(10, -1, -1)
-)
-"""Terms of the series of sin(πx) / x and cos(πx) in x², the highest first."""
 
 
 class Medium(NamedTuple):
@@ -104,7 +96,7 @@ def path_loss_db(medium: Medium, distance_m: float, blockers: int) -> float:
     return at_a_metre + a_decade * math.log10(max(distance_m, 1.0))
 
 
-@compiled
+@inlined
 def _loss_terms_db(medium: Medium, blockers: int) -> tuple[float, float]:
     """Path loss at one metre, and how much it grows in a decade of distance, eqs. (PLLOS) and (PLNLOS)."""
     if blockers > 0:
@@ -113,21 +105,32 @@ def _loss_terms_db(medium: Medium, blockers: int) -> tuple[float, float]:
 
 
 @compiled
-def bisector(receivers: FloatArray, x: float, y: float) -> tuple[float, float]:
-    """A vector in the direction that a panel at a place should face: between the AP and the users' middle.
+def bisectors(
+    receivers: FloatArray, x: FloatArray, y: FloatArray, forward_x: FloatArray, forward_y: FloatArray
+) -> None:
+    """Write vectors in the directions that panels at P places should face: between the AP and the users' middle.
 
-    `receivers` [K + 1, 2 or 3] [m] are the users and, last, the AP.
+    `receivers` [K + 1, 2 or 3] [m] are the users and, last, the AP; all others are [P], places in m.
     """
-    users, users_x, users_y = len(receivers) - 1, 0.0, 0.0
+    users = len(receivers) - 1
+    forward_x[:], forward_y[:] = 0, 0
     for k in range(users):
-        toward_x, toward_y = _unit(receivers[k, 0] - x, receivers[k, 1] - y)
-        users_x, users_y = users_x + toward_x, users_y + toward_y
-    users_x, users_y = _unit(users_x, users_y)
-    ap_x, ap_y = _unit(receivers[users, 0] - x, receivers[users, 1] - y)
-    return ap_x + users_x, ap_y + users_y
+        _add_units(receivers[k], x, y, forward_x, forward_y)
+    for p in range(len(x)):
+        forward_x[p], forward_y[p] = _unit(forward_x[p], forward_y[p])
+    _add_units(receivers[users], x, y, forward_x, forward_y)
 
 
 @compiled
+def _add_units(end: FloatArray, x: FloatArray, y: FloatArray, forward_x: FloatArray, forward_y: FloatArray) -> None:
+    """Add the unit vectors from places toward an end."""
+    for p in range(len(x)):
+        toward_x, toward_y = _unit(end[0] - x[p], end[1] - y[p])
+        forward_x[p] += toward_x
+        forward_y[p] += toward_y
+
+
+@inlined
 def _unit(x: float, y: float) -> tuple[float, float]:
     """The vector with length one; zero stays zero."""
     length = math.sqrt(x * x + y * y)
@@ -142,19 +145,18 @@ def pattern_gain(medium: Medium, cosine: float) -> float:
     return 2 * (medium.exponent + 1) * cosine**medium.exponent if cosine > 0 else 0.0
 
 
-@compiled
+@inlined
 def panel_gain(medium: Medium, squared_m: float, blockers: int, cosine: float) -> float:
     """Power gain of one link of the panel, from its squared length [m²]: 10^(-L/10) times `pattern_gain`.
 
     One exponential for both, as a radio map has thousands of them.
     """
     at_a_metre, a_decade = _loss_terms_db(medium, blockers)
-    exponent = -math.log(10) / 10 * at_a_metre - a_decade / 20 * math.log(max(squared_m, 1.0))
-    if not medium.cosine:
-        return math.exp(exponent)
-    if cosine <= 0:
-        return 0.0
-    return 2 * (medium.exponent + 1) * math.exp(exponent + medium.exponent * math.log(cosine))
+    exponent = -math.log(10) / 10 * at_a_metre - a_decade / 20 * vectors.log(max(squared_m, 1.0))
+    sharpness = medium.exponent if medium.cosine else 0.0
+    ahead = 2 * (medium.exponent + 1) if medium.cosine else 1.0
+    gain = ahead * vectors.exp(exponent + sharpness * vectors.log(max(cosine, 1e-300)))
+    return gain if cosine > 0 or not medium.cosine else 0.0
 
 
 @compiled
@@ -246,19 +248,5 @@ def _fill_link(
     scattered = amplitude / math.sqrt(k_factor + 1)
     los = math.sqrt(k_factor) * scattered
     for entry in range(len(entries)):
-        entries[entry] = los * _phasor(away[entry]) + scattered * diffuse[at + entry]
+        entries[entry] = los * vectors.phasor(away[entry]) + scattered * diffuse[at + entry]
     return at + len(entries)
-
-
-@compiled
-def _phasor(turns: float) -> complex:
-    """e^(-2πi t) with an error below 1e-15, for |t| below 10^6.
-
-    By polynomials, because the loop around it is then done in vectors, in a quarter of the time of `cos` and `sin`.
-    """
-    half = turns - np.rint(turns)  # an angle of π times this, within ±π/2, is half the angle sought
-    square, sine, cosine = half * half, 0.0, 0.0
-    for of_sine, of_cosine in _SERIES:
-        sine, cosine = sine * square + of_sine, cosine * square + of_cosine
-    sine *= half
-    return complex(1 - 2 * sine * sine, -2 * sine * cosine)

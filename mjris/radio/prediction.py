@@ -1,4 +1,4 @@
-"""What the RIS would give at a place, predicted from geometry alone: mean amplitudes, no fading, no interference."""
+"""What the RIS would give at places, predicted from geometry alone: mean amplitudes, no fading, no interference."""
 
 import math
 from typing import NamedTuple
@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris import vectors
 from mjris.compiled import compiled
 from mjris.config import Radio
-from mjris.radio.decoding import cancelled, needed_share, qos_first, sort_users
+from mjris.radio.decoding import ascending, needed_share
 from mjris.radio.serving import System
 
 FloatArray = NDArray[np.floating]
@@ -27,21 +28,6 @@ class Arrays(NamedTuple):
     def of(cls, radio: Radio) -> "Arrays":
         """With the numbers of a config."""
         return cls(radio.num_antennas, radio.num_elements, radio.element_amplitude)
-
-
-class Workspace(NamedTuple):
-    """What a prediction fills, one place after another."""
-
-    rates: FloatArray
-    """[K] [bit/s]: what was predicted."""
-    gains: FloatArray
-    """[K]"""
-    powers: FloatArray
-    """[K] [W]"""
-    needed: FloatArray
-    """`needed_share` of QoS [K]."""
-    order: IntArray
-    """[V, K/V]"""
 
 
 def predicted_rates(
@@ -71,42 +57,84 @@ def predicted_rates(
 def _predict_all(
     system: System, arrays: Arrays, direct: FloatArray, incident: FloatArray, reflected: FloatArray
 ) -> FloatArray:
-    rates, work = np.empty(direct.shape), workspace(system)
+    rates, gains, sorted_rates = np.empty(direct.shape), np.empty((direct.shape[1], 1)), np.empty((direct.shape[1], 1))
     for place in range(len(direct)):
-        predict(system, arrays, direct[place], incident[place], reflected[place], work)
-        rates[place] = work.rates
+        gains[:, 0] = reflected[place]
+        with_panel(system, arrays, direct[place], incident[place : place + 1], gains)
+        users = system.clusters if system.oma else ascending(system.clusters, gains[:, 0])
+        predict(system, arrays, gains, sorted_rates)
+        for v in range(len(users)):
+            for rank in range(users.shape[1]):
+                rates[place, users[v, rank]] = sorted_rates[system.clusters[v, rank], 0]
     return rates
 
 
 @compiled
-def workspace(system: System) -> Workspace:
-    """Where predictions can be worked out."""
-    users = system.clusters.size
-    needed = np.full(users, needed_share(system.bandwidth_hz, system.qos_bps))
-    return Workspace(np.empty(users), np.empty(users), np.empty(users), needed, np.empty_like(system.clusters))
+def with_panel(system: System, arrays: Arrays, direct: FloatArray, incident: FloatArray, reflected: FloatArray) -> None:
+    """Write the users' gains over noise with the panel at P places, of one antenna each, over `reflected` [K, P].
+
+    For power gains `direct` [K], `incident` [P] and `reflected`.
+    """
+    in_phase = arrays.elements / len(system.clusters)
+    for k in range(len(direct)):
+        alone, gains = math.sqrt(direct[k]), reflected[k]
+        for p in range(len(gains)):
+            one_element = math.sqrt(incident[p] * gains[p]) * arrays.amplitude
+            coherent, scattered = alone + in_phase * one_element, (arrays.elements - in_phase) * one_element**2
+            gains[p] = (coherent * coherent + scattered) / system.noise_w
 
 
 @compiled
-def predict(
-    system: System, arrays: Arrays, direct: FloatArray, incident: float, reflected: FloatArray, work: Workspace
-) -> None:
-    """`predicted_rates` of one place."""
-    # To read an array from a tuple costs as much as a square root.
-    rates, gains, powers, needed, order = work
-    num_clusters, bands = system.clusters.shape
-    users, beam_gain, in_phase = len(direct), arrays.antennas - num_clusters + 1, arrays.elements / num_clusters
-    for k in range(users):
-        one_element = math.sqrt(incident * reflected[k]) * arrays.amplitude
-        coherent = math.sqrt(direct[k]) + in_phase * one_element
-        gains[k] = (coherent**2 + (arrays.elements - in_phase) * one_element**2) / system.noise_w
+def predict(system: System, arrays: Arrays, gains: FloatArray, rates: FloatArray) -> None:
+    """Write `predicted_rates` of P places to `rates` [K, P], for the users' gains over noise [K, P] with the panel.
+
+    With NOMA, gains are sorted, and rates are of users by their gains: in the rows of a cluster's users come those of
+    its weakest, of its second, and so on. Every loop over places is done in vectors.
+    """
+    num_clusters, size = system.clusters.shape
+    places, beam_gain = gains.shape[1], arrays.antennas - num_clusters + 1
+    later, powers = np.empty(places), np.empty((size, places))
     if system.oma:
         # A user has K/V of a cluster's bands' noise, and P/K of the power.
-        for k in range(users):
-            snr = beam_gain * gains[k] * bands * system.tx_power_w / users
-            rates[k] = system.bandwidth_hz / bands * math.log1p(snr) / math.log(2)
-    else:
-        sort_users(system.clusters, gains, order)
-        for v in range(num_clusters):
-            gains[order[v, -1]] *= beam_gain
-        qos_first(gains, order, system.tx_power_w / num_clusters, needed, powers)
-        cancelled(system.bandwidth_hz, gains, powers, order, rates)
+        for k in range(len(gains)):
+            later[:], powers[0] = 0, beam_gain * size * system.tx_power_w / len(gains)
+            _cancel(system.bandwidth_hz / size, gains[k], powers[0], later, rates[k])
+        return
+    needed, left = needed_share(system.bandwidth_hz, system.qos_bps), powers[-1]
+    for users in system.clusters:
+        _sort(gains, users)
+        for p in range(places):
+            gains[users[-1], p] *= beam_gain
+        left[:], later[:] = system.tx_power_w / num_clusters, 0
+        for rank in range(size - 1):
+            _take(gains[users[rank]], needed, left, powers[rank])
+        for rank in range(size - 1, -1, -1):
+            _cancel(system.bandwidth_hz, gains[users[rank]], powers[rank], later, rates[users[rank]])
+
+
+@compiled
+def _sort(gains: FloatArray, users: IntArray) -> None:
+    """Sort the gains of some users [K, P] at every place."""
+    for last in range(len(users) - 1, 0, -1):
+        for rank in range(last):
+            lower, upper = gains[users[rank]], gains[users[rank + 1]]
+            for p in range(len(lower)):
+                lower[p], upper[p] = min(lower[p], upper[p]), max(lower[p], upper[p])
+
+
+@compiled
+def _take(gains: FloatArray, needed: float, left: FloatArray, powers: FloatArray) -> None:
+    """Write the powers [P] that users need over all later ones' to `powers`, where there is as much `left` [P]."""
+    for p in range(len(gains)):
+        wanted = needed * (left[p] + 1 / gains[p])
+        powers[p] = wanted if wanted <= left[p] else 0.0
+        left[p] -= powers[p]
+
+
+@compiled
+def _cancel(bandwidth_hz: float, gains: FloatArray, powers: FloatArray, later: FloatArray, rates: FloatArray) -> None:
+    """Write rates [P] where only the powers of `later` users [P] interfere, to which these users' are added then."""
+    for p in range(len(gains)):
+        sinr = gains[p] * powers[p] / (gains[p] * later[p] + 1)
+        rates[p] = bandwidth_hz / math.log(2) * vectors.log1p(sinr)
+        later[p] += powers[p]
