@@ -93,7 +93,7 @@ def _climb(
             else:
                 if reached[k] < system.qos_bps:
                     raised[k] *= 2
-                toward[k] = raised[k] / own
+                toward[k] = raised[k] / (own.real**2 + own.imag**2) * own.conjugate()
         _align(incident, reflected, beams, toward, response)
     return best, best_response
 
@@ -124,9 +124,9 @@ def _align(
             for m in range(beams.shape[1]):
                 toward += incident[n, m] * beams[k, m]
             pull += weights[k] * reflected[k, n] * toward
-        modulus = math.hypot(pull.real, pull.imag)
+        modulus = math.sqrt(pull.real**2 + pull.imag**2)
         if modulus > 0:
-            response[n] = pull.conjugate() / modulus
+            response[n] = complex(pull.real / modulus, -pull.imag / modulus)
 
 
 @compiled

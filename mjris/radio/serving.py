@@ -216,9 +216,9 @@ def _zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
     beams = np.empty((size, antennas), np.complex128)
     gram = np.empty((size, size), np.complex128)
     for i in range(size):
-        norm = math.sqrt(strength(channel, users[i]))
+        inverse = 1 / math.sqrt(strength(channel, users[i]))
         for m in range(antennas):
-            beams[i, m] = channel[users[i], m].conjugate() / norm
+            beams[i, m] = inverse * channel[users[i], m].conjugate()
     for i in range(size):
         for j in range(size):
             gram[i, j] = 0
@@ -229,15 +229,15 @@ def _zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
             raise np.linalg.LinAlgError("the channels of users who are served together are linearly dependent")
         for j in range(size):
             if j != i:
-                factor = gram[j, i] / gram[i, i]
+                factor = 1 / gram[i, i].real * gram[j, i]
                 for column in range(i, size):
                     gram[j, column] -= factor * gram[i, column]
                 for m in range(antennas):
                     beams[j, m] -= factor * beams[i, m]
     for i in range(size):
-        norm = math.sqrt(strength(beams, i))
+        inverse = 1 / math.sqrt(strength(beams, i))
         for m in range(antennas):
-            beams[i, m] /= norm
+            beams[i, m] *= inverse
     return beams
 
 
