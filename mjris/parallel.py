@@ -2,7 +2,8 @@
 
 import multiprocessing
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
 
@@ -130,13 +131,12 @@ class _Worker:
         self._board: Board | None = None
 
     def ask(self, method: str, argument: Any) -> None:
-        self._pipe.send((method, argument))
+        with _alive():
+            self._pipe.send((method, argument))
 
     def answer(self) -> Any:
-        try:
+        with _alive():
             answer = _receive(self._pipe)
-        except EOFError:
-            raise RuntimeError("a worker process of the environment has ended by itself") from None
         if isinstance(answer, Exception):
             raise answer
         if isinstance(answer, Board):
@@ -151,6 +151,15 @@ class _Worker:
         self._process.join()
         if self._board is not None:
             self._board.close()
+
+
+@contextmanager
+def _alive() -> Iterator[None]:
+    """Raises `RuntimeError` where a pipe has lost its other end."""
+    try:
+        yield
+    except (EOFError, ConnectionError):
+        raise RuntimeError("a worker process of the environment has ended by itself") from None
 
 
 def _call(task: Task, method: str, argument: Any) -> Any:
