@@ -174,6 +174,7 @@ def _gains(
     behind: FloatArray,
     gains: FloatArray,
 ) -> None:
+    """Write the gains [P] of the links from one end [3] [m], with the obstacles `behind` which panels see it [P]."""
     end_x, end_y, rise = end[0], end[1], end[2] - panel_height_m
     for p in range(len(x)):
         to_x, to_y = end_x - x[p], end_y - y[p]
