@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError, Radio
-from mjris.radio import channel, prediction, propagation
-from mjris.radiomap import penalised, place_values
+from mjris.radio import channel, propagation
+from mjris.radiomap import bare_values, place_values
 from mjris.simulator import Simulator
 from mjris.world.footprints import Footprints, footprints
 from mjris.world.office import HULL_FLOOR_GAP_M, PERSON_HEIGHT_M, Office, hull_height, hull_radius
@@ -101,7 +101,7 @@ def floor_map(
     one_element = np.sqrt(_cascade_gain(simulator, receivers, ris_xy, heading)) * config.radio.element_amplitude
     snr = _snr(direct, config.radio)
     ris_snr = _snr((np.sqrt(direct) + config.radio.num_elements * one_element) ** 2, config.radio)
-    bare = _bare_value(simulator)
+    bare = bare_values(simulator)[0]
     body = footprints([office], 0.0, PERSON_HEIGHT_M)
     return FloorMap(
         x_m=x,
@@ -161,17 +161,6 @@ def _place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
     values = np.full(free.shape, np.nan)
     values[free] = place_values(simulator, places[free][None])[0]
     return values
-
-
-def _bare_value(simulator: Simulator) -> FloatArray:
-    """What `radiomap.place_values` would be with no RIS at all [] [bit/s]."""
-    config = simulator.config
-    direct = propagation.db_to_linear(-simulator.scene.path_loss_db[0, : config.world.num_users])
-    nothing = np.zeros_like(direct)
-    rates = prediction.predicted_rates(
-        direct, nothing[0], nothing, simulator.clusters, config.radio, config.task.qos_bps
-    )
-    return penalised(rates, config.task.qos_bps, config.task.qos_penalty)
 
 
 def _panel_heading(simulator: Simulator, ris_xy: FloatArray, wanted_rad: float | None) -> FloatArray:
