@@ -256,7 +256,12 @@ def _parse(argv: list[str]) -> Train | Evaluate | Render | Map | Export:
         Annotated[Map, tyro.conf.subcommand("map", default=Map(out=missing, config=config))],
         Annotated[Export, tyro.conf.subcommand("export", default=Export(run_dir=missing, out=missing))],
     ]
-    return tyro.cli(commands, prog="mjris", description=__doc__, args=argv)  # type: ignore[arg-type]
+    try:
+        return tyro.cli(commands, prog="mjris", description=__doc__, args=argv)  # type: ignore[arg-type]
+    except BrokenPipeError:
+        # Whoever reads the help has seen enough, as with `| head`. What is still unwritten goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
 
 
 def _value(argv: list[str], flag: str) -> str | None:
