@@ -23,7 +23,10 @@ def test_help_ends_quietly_when_its_reader_has_seen_enough():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["train", "--out", "{}/new", "--preset", "none"], "preset: 'none' is not known: it is one of office, paper, demo"),
+        (
+            ["train", "--out", "{}/new", "--preset", "none"],
+            "preset: 'none' is not known: it is one of office, paper, demo",
+        ),
         (["train", "--out", "{}/new", "--radio.num-users", "4"], "unrecognized"),
         (["train", "--out", "{}/new", "--world.layout", "{}/none.toml"], "none.toml"),
         (["evaluate", "--run", "{}/none"], "is not allowed: there is no such folder"),
