@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.radio.access import cluster_beams, decoding_order, noma_rates, oma_rates, zero_forcing
@@ -117,7 +117,6 @@ def slow_phases(served: System, channels: Channels, weights, iterations=7):
     return phases
 
 
-@settings(deadline=None)
 @pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.5), ("oma", 2.5)])
 @given(seed=SEEDS)
 def test_aligned_phases_are_those_of_slow_arrays(scheme, qos, seed):
