@@ -79,6 +79,13 @@ def log1p(x: float) -> float:
 
 
 @inlined
+def tanh(x: float) -> float:
+    """tanh x."""
+    squared = exp(2 * min(max(x, -20.0), 20.0))  # beyond ±20 it is ±1
+    return (squared - 1) / (squared + 1)
+
+
+@inlined
 def phasor(turns: float) -> complex:
     """e^(-2πi t) for t turns, |t| < 10^15."""
     half = turns - np.rint(turns)  # an angle of π times this, within ±π/2, is half the angle sought

@@ -18,7 +18,8 @@ from mjris.learn.agent import DecayingOUNoise, build_agent
 from mjris.learn.federation import Cell, average
 from mjris.learn.layers import StackedNetwork
 from mjris.learn.policy import load_policy
-from mjris.learn.replay import Batch, ReplayMemory
+from mjris.learn.products import AVAILABLE
+from mjris.learn.replay import Batch, ReplayMemory, _picked, picked_together
 from mjris.learn.run import train, train_many
 from mjris.learn.spread import SpreadRuns, StackedCells, num_stacks
 from mjris.learn.stack import StackedDDPG
@@ -84,22 +85,31 @@ def assert_close(left, right, atol: float, ignore: Sequence[str] = ()) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "dtype", "atol"),
+    ("settings", "dtype", "atol", "one_by_one"),
     [
-        ({"network": "mlp"}, torch.float32, 1e-5),
-        ({"network": "mlp", "caution": 0.7}, torch.float32, 1e-5),
-        ({"network": "paper"}, torch.float32, 1e-5),
-        ({"network": "paper"}, torch.float64, 1e-10),
+        ({"network": "mlp"}, torch.float32, 1e-5, True),
+        ({"network": "mlp", "caution": 0.7}, torch.float32, 1e-5, True),
+        ({"network": "mlp", "hidden": (48, 16, 24), "caution": 0.7}, torch.float32, 1e-5, True),
+        ({"network": "mlp"}, torch.float32, 1e-5, False),
+        ({"network": "mlp", "caution": 0.7}, torch.float32, 1e-5, False),
+        ({"network": "mlp", "caution": 0.7}, torch.float64, 1e-10, False),
+        ({"network": "paper"}, torch.float32, 1e-5, False),
+        ({"network": "paper"}, torch.float64, 1e-10, False),
     ],
 )
 @pytest.mark.usefixtures("double_observations")
-def test_a_stacked_update_equals_sb3s_own(settings: dict, dtype: torch.dtype, atol: float):
+def test_a_stacked_update_equals_sb3s_own(
+    settings: dict, dtype: torch.dtype, atol: float, one_by_one: bool, monkeypatch: pytest.MonkeyPatch
+):
+    if not one_by_one:
+        monkeypatch.setattr("mjris.learn.stack.AVAILABLE", False)
     agents, rng = toy_agents(3, **settings), np.random.default_rng(0)
     for agent in agents:
         convert(agent, dtype)
     for _ in range(5):  # until the optimizers have moments
         sb3_update(agents, random_batch(rng, 3, 32, dtype))
     stack = StackedDDPG(agents)
+    assert (stack._descent is not None) == (one_by_one and AVAILABLE)
     batch = random_batch(rng, 3, 32, dtype)
     actor_losses, critic_losses = stack.update(copied(batch)).losses()
     sb3_update(agents, batch)
@@ -149,8 +159,10 @@ def test_agents_act_as_they_do_alone():
 
 
 @pytest.mark.parametrize("network", ["mlp", "paper"])
-def test_every_tensor_of_a_step_is_made_on_the_device_of_the_stack(network: str):
+def test_every_tensor_of_a_step_is_made_on_the_device_of_the_stack(network: str, monkeypatch: pytest.MonkeyPatch):
     agents, rng = toy_agents(2, network=network, caution=0.0 if network == "paper" else 0.5), np.random.default_rng(0)
+    # Only on the CPU are agents updated one by one.
+    monkeypatch.setattr("mjris.learn.stack.AVAILABLE", False)
     stack, memory = StackedDDPG(agents, "cpu"), ReplayMemory(agents, 20, 10, "cpu")
     following = np.zeros((2, 2), np.float32)
     # Where a tensor would be made that is told no device, and could not be used beside the others.
@@ -179,6 +191,16 @@ def test_the_memory_gives_what_was_added_over_ends_of_episodes_and_of_the_ring()
         parts = batch.observations, batch.actions, batch.rewards, batch.next_observations
         for part, expected in zip(parts, zip(*added[oldest:], strict=True), strict=True):
             np.testing.assert_array_equal(part.numpy(), np.stack(expected, 1))
+
+
+def test_minibatches_are_the_same_on_any_device():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(3, 20, 6)).astype(np.float32)
+    places, following = rng.integers(0, 20, (2, 3, 7))
+    with torch.device("meta"):  # where a tensor would be made that is told no device
+        together = picked_together(torch.from_numpy(rows), places, following)
+    for part, expected in zip(together, _picked(rows, places, following), strict=True):
+        np.testing.assert_array_equal(part.numpy(), expected)
 
 
 def test_what_has_no_stacked_form_is_refused():

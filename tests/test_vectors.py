@@ -25,6 +25,11 @@ def test_log1p_is_that_of_the_library_near_zero_too(x):
     assert abs(vectors.log1p(x) - math.log1p(x)) <= 3 * EPS * math.log1p(x)
 
 
+@given(st.floats(allow_nan=False))
+def test_tanh_is_that_of_the_library_but_for_rounding(x):
+    assert abs(vectors.tanh(x) - math.tanh(x)) < 2 * EPS
+
+
 @given(st.integers(-(10**6), 10**6), st.integers(-(2**20), 2**20))
 def test_phasor_is_that_of_the_library_and_does_not_know_whole_turns(whole, part):
     turn = part / 2**21  # the sum with a whole number is exact
@@ -35,7 +40,7 @@ def test_phasor_is_that_of_the_library_and_does_not_know_whole_turns(whole, part
 
 def test_a_loop_is_done_as_number_by_number():
     x = np.random.default_rng(0).uniform(0.1, 50, 1003)
-    for function in (vectors.exp, vectors.log, vectors.log1p):
+    for function in (vectors.exp, vectors.log, vectors.log1p, vectors.tanh):
 
         @numba.njit
         def loop(values, function=function):

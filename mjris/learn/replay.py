@@ -10,6 +10,8 @@ from stable_baselines3 import DDPG
 from stable_baselines3.common.buffers import ReplayBuffer
 from torch import Tensor
 
+from mjris.compiled import compiled
+
 FloatArray = NDArray[np.floating]
 
 
@@ -63,7 +65,6 @@ class ReplayMemory:
         # Zeros of this kind take no memory until they are written over.
         rows = np.zeros((len(agents), self._length, self._width + actions + 1), np.float32)
         self._rows = torch.from_numpy(rows).to(device)
-        self._offsets = torch.arange(len(agents), device=device)[:, None] * self._length
         self._places = np.zeros(self.capacity, np.int64)
         """Row of each transition; transitions are numbered as in SB3's buffer."""
         self._ends = np.zeros(self.capacity, np.bool_)
@@ -84,9 +85,11 @@ class ReplayMemory:
     def batch(self, numbers: NDArray[np.int64]) -> Batch:
         """Each agent's transitions of these numbers [A, B]."""
         places = self._places[numbers]
-        flat = torch.from_numpy(np.stack([places, (places + 1) % self._length])).to(self._rows.device) + self._offsets
-        picked = self._rows.flatten(0, 1).index_select(0, flat.flatten()).view(*flat.shape, -1)
-        (pairs, rewards), (next_pairs, _) = (side.split([picked.shape[-1] - 1, 1], -1) for side in picked)
+        following = (places + 1) % self._length
+        if self._rows.device.type == "cpu":
+            pairs, rewards, next_pairs = map(torch.from_numpy, _picked(self._rows.numpy(), places, following))
+        else:
+            pairs, rewards, next_pairs = picked_together(self._rows, places, following)
         return Batch(pairs, rewards, next_pairs, self._width)
 
     def store(self, index: int, buffer: ReplayBuffer) -> None:
@@ -101,3 +104,31 @@ class ReplayMemory:
         # Episodes end by truncation only.
         buffer.dones[:filled, 0] = buffer.timeouts[:filled, 0] = self._ends[:filled]
         buffer.pos, buffer.full = self._added % buffer.buffer_size, self._added >= buffer.buffer_size
+
+
+def picked_together(
+    rows: Tensor, places: NDArray[np.int64], following: NDArray[np.int64]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Pairs and rewards at these places [A, B] of rows [A, L, D + n + 1], and the pairs of the following ones."""
+    agents = torch.arange(len(rows), device=rows.device)[:, None]
+    own, next_ = (rows[agents, torch.from_numpy(each).to(rows.device)] for each in (places, following))
+    return own[..., :-1], own[..., -1:], next_[..., :-1]
+
+
+@compiled
+def _picked(
+    rows: NDArray[np.float32], places: NDArray[np.int64], following: NDArray[np.int64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """`picked_together`, row by row."""
+    agents, size = places.shape
+    width = rows.shape[2] - 1
+    pairs, rewards = np.empty((agents, size, width), np.float32), np.empty((agents, size, 1), np.float32)
+    next_pairs = np.empty((agents, size, width), np.float32)
+    for agent in range(agents):
+        for sample in range(size):
+            row, next_row = rows[agent, places[agent, sample]], rows[agent, following[agent, sample]]
+            pair, next_pair = pairs[agent, sample], next_pairs[agent, sample]
+            for i in range(width):
+                pair[i], next_pair[i] = row[i], next_row[i]
+            rewards[agent, sample, 0] = row[width]
+    return pairs, rewards, next_pairs

@@ -4,12 +4,15 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from stable_baselines3 import DDPG
 from torch import Tensor
 
 from mjris.learn.agent import CautiousCritic
+from mjris.learn.descent import Layers, Network, Room, Rule, descend, has_compiled_form
 from mjris.learn.layers import StackedNetwork, turned
+from mjris.learn.products import AVAILABLE
 from mjris.learn.replay import Batch
 
 # The networks of an agent that `State` holds, and how each names its sequence of layers.
@@ -39,15 +42,32 @@ class StackedDDPG:
             for name in ("actor", "critic")
         }
         self._device = device
+        self._descent: tuple[Network, Network, Room, Rule] | None = None
+        if device == "cpu" and AVAILABLE and has_compiled_form(first):
+            actor, critic = (self._compiled(name, first.batch_size) for name in self._optimizers)
+            beta1, beta2 = self._optimizers["actor"].betas
+            rule = Rule(self._discount, self._target_rate, self._caution, beta1, beta2, self._optimizers["actor"].eps)
+            self._descent = actor, critic, Room.of(actor, critic), rule
 
     @torch.inference_mode()
     def act(self, observations: Tensor) -> Tensor:
         """Actions [A, n] without noise for observations [A, D]."""
         return self._actor.forward(observations.to(self._device)[:, None])[:, 0].cpu()
 
-    @torch.inference_mode()
     def update(self, batch: Batch) -> "Judgement":
-        """One gradient step of every agent, as in SB3's `DDPG.train`. Writes over the actions in the batch."""
+        """One gradient step of every agent, as in SB3's `DDPG.train`. Writes over the actions in the batch.
+
+        On the CPU it is done agent by agent in compiled loops, where those know the networks' form.
+        """
+        if self._descent is None:
+            return self._update_together(batch)
+        actor, critic = self._optimizers.values()
+        arrays = (tensor.numpy() for tensor in (batch.pairs, batch.rewards, batch.next_pairs))
+        values, errors = descend(*self._descent, (actor.count(), critic.count()), *arrays)
+        return Judgement(torch.from_numpy(values), self._caution, batch.actions, torch.from_numpy(errors))
+
+    @torch.inference_mode()
+    def _update_together(self, batch: Batch) -> "Judgement":
         batch.next_actions.copy_(self._actor_target.forward(batch.next_observations))
         next_values = self._critic_target.forward(batch.next_pairs)
         errors = self._critic.forward(batch.pairs, training=True)
@@ -97,6 +117,14 @@ class StackedDDPG:
         for name, optimizer in self._optimizers.items():
             optimizer.store(index, getattr(agent, name).optimizer)
 
+    def _compiled(self, name: str, rows: int) -> Network:
+        """Actors or critics as `descend` works on them, in the same memory, with room for so many rows."""
+        network, target, optimizer = self._networks[name], self._networks[f"{name}_target"], self._optimizers[name]
+        flats = network.parameters, target.parameters, *optimizer.moments.values()
+        own, following, exp_avg, exp_avg_sq = (Layers.of(network.split(flat).values()) for flat in flats)
+        outputs = tuple(np.empty((rows, bias.shape[1]), np.float32) for bias in own.biases)
+        return Network(own, following, exp_avg, exp_avg_sq, optimizer.rates, outputs)
+
     def _state(self) -> dict[str, Tensor]:
         return {
             f"{name}.{_PARTS[name]}.{key}": tensor
@@ -133,26 +161,35 @@ class StackedAdam:
         steps = [float(entries[0]["step"]) if entries else 0.0 for entries in states]
         if len(set(steps)) > 1:
             raise ValueError("optimizers: those of a stack must be equally many steps on")
-        moments = {key: torch.zeros_like(network.parameters) for key in ("exp_avg", "exp_avg_sq")}
-        self._moments = {key: list(network.split(moment).values()) for key, moment in moments.items()}
+        self.moments = {key: torch.zeros_like(network.parameters) for key in ("exp_avg", "exp_avg_sq")}
+        """Averages of gradients and of their squares, each in the order of the network's parameters."""
+        self._moments = {key: list(network.split(moment).values()) for key, moment in self.moments.items()}
         for key, parameters in self._moments.items():
             for agent, entries in enumerate(states):
                 for parameter, entry in zip(parameters, entries, strict=bool(entries)):
                     parameter[agent] = turned(entry[key])
         self._steps = torch.tensor(steps[0], device=network.parameters.device)
+        self.rates = np.array([optimizer.param_groups[0]["lr"] for optimizer in optimizers])
+        """Learning rates [A]."""
         self._groups = []
         """Agents next to each other that have the same learning rate: what changes in a step, and the rate."""
         tensors = [list(network.split(flat).values()) for flat in (network.parameters, network.gradients)]
         tensors += self._moments.values()
         first = 0
-        for rate, group in groupby(optimizer.param_groups[0]["lr"] for optimizer in optimizers):
+        for rate, group in groupby(self.rates.tolist()):
             agents = slice(first, first := first + len(list(group)))
             self._groups.append(([[parameter[agents] for parameter in each] for each in tensors], rate))
-        (self._beta1, self._beta2), self._eps = optimizers[0].defaults["betas"], optimizers[0].defaults["eps"]
+        self.betas, self.eps = optimizers[0].defaults["betas"], optimizers[0].defaults["eps"]
+
+    def count(self) -> int:
+        """Begin a step: its number."""
+        self._steps += 1
+        return int(self._steps)
 
     def step(self) -> None:
         """One step along the gradients of the network."""
         self._steps += 1
+        beta1, beta2 = self.betas
         for tensors, rate in self._groups:
             # What `torch.optim.Adam` calls in the end, which takes longer to get there than the step itself.
             torch.ops.aten._fused_adam_(
@@ -160,9 +197,9 @@ class StackedAdam:
                 [],
                 [self._steps] * len(tensors[0]),
                 lr=rate,
-                beta1=self._beta1,
-                beta2=self._beta2,
-                eps=self._eps,
+                beta1=beta1,
+                beta2=beta2,
+                eps=self.eps,
                 weight_decay=0.0,
                 amsgrad=False,
                 maximize=False,
