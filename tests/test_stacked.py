@@ -90,6 +90,7 @@ def assert_close(left, right, atol: float, ignore: Sequence[str] = ()) -> None:
         ({"network": "mlp"}, torch.float32, 1e-5, True),
         ({"network": "mlp", "caution": 0.7}, torch.float32, 1e-5, True),
         ({"network": "mlp", "hidden": (48, 16, 24), "caution": 0.7}, torch.float32, 1e-5, True),
+        ({"network": "paper"}, torch.float32, 1e-5, True),
         ({"network": "mlp"}, torch.float32, 1e-5, False),
         ({"network": "mlp", "caution": 0.7}, torch.float32, 1e-5, False),
         ({"network": "mlp", "caution": 0.7}, torch.float64, 1e-10, False),

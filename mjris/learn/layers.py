@@ -1,7 +1,9 @@
 """Layers of A agents as one, with a leading axis of agents; gradients are written out, as there are so few kinds."""
 
+import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -9,6 +11,8 @@ Tensors = Mapping[str, Tensor]
 """Parameters and statistics, or gradients, of a layer or network by name."""
 
 _ALL = slice(None)
+_LINE = 16
+"""Parameters begin at multiples of this many numbers: loops are faster over whole lines of the cache."""
 
 
 class StackedLayer:
@@ -132,19 +136,20 @@ class Tanh(StackedLayer):
 class StackedNetwork:
     """Sequential networks of A agents, of equal shapes, as one. Raises `TypeError` for a layer without a stacked form.
 
-    All parameters are one tensor, and so are their gradients: what is done to each number is one operation. One
-    parameter of all agents follows the other, so that products of a layer write to memory without gaps.
+    All parameters are one tensor, and so are their gradients: what is done to each number is one operation.
     """
 
     def __init__(self, networks: Sequence[nn.Module], device: str = "cpu"):
         first = networks[0]
-        self._agents = len(networks)
         self._shapes = {name: turned(parameter).shape for name, parameter in first.named_parameters()}
-        numbers = sum(shape.numel() for shape in self._shapes.values())
-        self.parameters = torch.empty(self._agents * numbers, dtype=next(first.parameters()).dtype, device=device)
-        """[A·P]"""
+        sizes = [_LINE * math.ceil(shape.numel() / _LINE) for shape in self._shapes.values()]
+        self.starts = dict(zip(self._shapes, np.cumsum([0, *sizes]).tolist(), strict=False))
+        """Where each parameter begins in a row of P numbers."""
+        dtype = next(first.parameters()).dtype
+        self.parameters = torch.zeros(len(networks), sum(sizes), dtype=dtype, device=device)
+        """[A, P]"""
         self.gradients = torch.zeros_like(self.parameters)
-        """[A·P], of the last `backward` that learned."""
+        """[A, P], of the last `backward` that learned."""
         parameters = self.split(self.parameters)
         for agent, network in enumerate(networks):
             for name, parameter in network.named_parameters():
@@ -161,15 +166,23 @@ class StackedNetwork:
         ]
 
     def split(self, flat: Tensor) -> dict[str, Tensor]:
-        """[A·P] as a view [A, *shape] for every parameter, by name."""
-        parts = flat.split([self._agents * shape.numel() for shape in self._shapes.values()])
-        return {name: part.view(-1, *shape) for part, (name, shape) in zip(parts, self._shapes.items(), strict=True)}
+        """[A, P] as a view [A, *shape] for every parameter, by name."""
+        return {
+            name: flat[:, start : start + shape.numel()].view(-1, *shape)
+            for (name, shape), start in zip(self._shapes.items(), self.starts.values(), strict=True)
+        }
 
     def forward(self, inputs: Tensor, training: bool = False) -> Tensor:
         """Outputs [A, B, out] for inputs [A, B, in], normalised by the minibatch's statistics in training."""
         for layer in self._layers:
             inputs = layer.forward(inputs, training)
         return inputs
+
+    def count_batch(self) -> None:
+        """Count one more minibatch whose statistics the running ones follow."""
+        for name, counts in self.statistics.items():
+            if name.endswith("num_batches_tracked"):
+                counts += 1
 
     def learn(self, gradient: Tensor) -> None:
         """Set the gradients of the parameters from that of the outputs [A, B, out]."""

@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from stable_baselines3 import DDPG
-from torch import Tensor
+from torch import Tensor, nn
 
 from mjris.learn.agent import CautiousCritic
-from mjris.learn.descent import Layers, Network, Room, Rule, descend, has_compiled_form
+from mjris.learn.descent import Learner, Room, Rule, descend, has_compiled_form
 from mjris.learn.layers import StackedNetwork, turned
+from mjris.learn.networks import Networks, Pass
 from mjris.learn.products import AVAILABLE
 from mjris.learn.replay import Batch
 
@@ -42,12 +43,7 @@ class StackedDDPG:
             for name in ("actor", "critic")
         }
         self._device = device
-        self._descent: tuple[Network, Network, Room, Rule] | None = None
-        if device == "cpu" and AVAILABLE and has_compiled_form(first):
-            actor, critic = (self._compiled(name, first.batch_size) for name in self._optimizers)
-            beta1, beta2 = self._optimizers["actor"].betas
-            rule = Rule(self._discount, self._target_rate, self._caution, beta1, beta2, self._optimizers["actor"].eps)
-            self._descent = actor, critic, Room.of(actor, critic), rule
+        self._descent = self._compiled(first) if device == "cpu" and AVAILABLE and has_compiled_form(first) else None
 
     @torch.inference_mode()
     def act(self, observations: Tensor) -> Tensor:
@@ -61,6 +57,8 @@ class StackedDDPG:
         """
         if self._descent is None:
             return self._update_together(batch)
+        for network in (self._actor, self._critic):
+            network.count_batch()
         actor, critic = self._optimizers.values()
         arrays = (tensor.numpy() for tensor in (batch.pairs, batch.rewards, batch.next_pairs))
         values, errors = descend(*self._descent, (actor.count(), critic.count()), *arrays)
@@ -117,13 +115,21 @@ class StackedDDPG:
         for name, optimizer in self._optimizers.items():
             optimizer.store(index, getattr(agent, name).optimizer)
 
-    def _compiled(self, name: str, rows: int) -> Network:
-        """Actors or critics as `descend` works on them, in the same memory, with room for so many rows."""
-        network, target, optimizer = self._networks[name], self._networks[f"{name}_target"], self._optimizers[name]
-        flats = network.parameters, target.parameters, *optimizer.moments.values()
-        own, following, exp_avg, exp_avg_sq = (Layers.of(network.split(flat).values()) for flat in flats)
-        outputs = tuple(np.empty((rows, bias.shape[1]), np.float32) for bias in own.biases)
-        return Network(own, following, exp_avg, exp_avg_sq, optimizer.rates, outputs)
+    def _compiled(self, first: DDPG) -> tuple[Learner, Learner, Room, Rule]:
+        """What `descend` works on, in the memory of networks and optimizers."""
+        actor, critic = (
+            self._learner(name, getattr(getattr(first, name), _PARTS[name]), first.batch_size)
+            for name in self._optimizers
+        )
+        adam = self._optimizers["actor"]
+        rule = Rule(self._discount, self._target_rate, self._caution, adam.betas, adam.eps)
+        return actor, critic, Room.of(actor), rule
+
+    def _learner(self, name: str, first: nn.Module, rows: int) -> Learner:
+        own, target = (Networks.of(first, self._networks[each]) for each in (name, f"{name}_target"))
+        adam = self._optimizers[name]
+        exp_avg, exp_avg_sq = (moment.numpy() for moment in adam.moments.values())
+        return Learner(own, target, exp_avg, exp_avg_sq, adam.rates, Pass.of(own, rows))
 
     def _state(self) -> dict[str, Tensor]:
         return {
@@ -162,7 +168,7 @@ class StackedAdam:
         if len(set(steps)) > 1:
             raise ValueError("optimizers: those of a stack must be equally many steps on")
         self.moments = {key: torch.zeros_like(network.parameters) for key in ("exp_avg", "exp_avg_sq")}
-        """Averages of gradients and of their squares, each in the order of the network's parameters."""
+        """Averages of gradients and of their squares [A, P]."""
         self._moments = {key: list(network.split(moment).values()) for key, moment in self.moments.items()}
         for key, parameters in self._moments.items():
             for agent, entries in enumerate(states):
@@ -173,12 +179,11 @@ class StackedAdam:
         """Learning rates [A]."""
         self._groups = []
         """Agents next to each other that have the same learning rate: what changes in a step, and the rate."""
-        tensors = [list(network.split(flat).values()) for flat in (network.parameters, network.gradients)]
-        tensors += self._moments.values()
         first = 0
         for rate, group in groupby(self.rates.tolist()):
             agents = slice(first, first := first + len(list(group)))
-            self._groups.append(([[parameter[agents] for parameter in each] for each in tensors], rate))
+            tensors = network.parameters, network.gradients, *self.moments.values()
+            self._groups.append(([[tensor[agents]] for tensor in tensors], rate))
         self.betas, self.eps = optimizers[0].defaults["betas"], optimizers[0].defaults["eps"]
 
     def count(self) -> int:
@@ -189,16 +194,15 @@ class StackedAdam:
     def step(self) -> None:
         """One step along the gradients of the network."""
         self._steps += 1
-        beta1, beta2 = self.betas
         for tensors, rate in self._groups:
             # What `torch.optim.Adam` calls in the end, which takes longer to get there than the step itself.
             torch.ops.aten._fused_adam_(
                 *tensors,
                 [],
-                [self._steps] * len(tensors[0]),
+                [self._steps],
                 lr=rate,
-                beta1=beta1,
-                beta2=beta2,
+                beta1=self.betas[0],
+                beta2=self.betas[1],
                 eps=self.eps,
                 weight_decay=0.0,
                 amsgrad=False,
