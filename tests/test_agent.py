@@ -159,6 +159,15 @@ def test_noise_has_the_stated_deviation_and_correlation():
     assert across_episodes == pytest.approx(0.0, abs=0.03)
 
 
+def test_noise_of_several_slots_is_that_of_as_many_calls():
+    ahead, calls = (DecayingOUNoise(3, 0.4, 8, np.random.default_rng(0)) for _ in range(2))
+    for slots in (3, 4, 5):
+        np.testing.assert_array_equal(ahead.ahead(slots), [calls() for _ in range(slots)])
+        if slots == 4:
+            ahead.reset()
+            calls.reset()
+
+
 def test_noise_decays_linearly_over_the_run_and_stays_at_zero():
     noise = DecayingOUNoise(2, 0.4, 100, np.random.default_rng(0))
     scales, samples = [], []

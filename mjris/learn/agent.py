@@ -120,7 +120,7 @@ class DecayingOUNoise(ActionNoise):
     @property
     def scale(self) -> float:
         """ξ_t, the standard deviation of the next sample."""
-        return self._scale * max(0.0, 1.0 - self._slot / self._total_slots)
+        return float(self._scales(1)[0])
 
     def reset(self) -> None:
         """Forget the episode; the next sample is independent of those before."""
@@ -129,16 +129,24 @@ class DecayingOUNoise(ActionNoise):
 
     def __call__(self) -> np.ndarray:
         """The noise of the next slot, float32 [A]."""
-        fresh = self._rng.standard_normal(self._size)
-        if self._state is None:
-            state = fresh
-        else:
-            memory = np.exp(-_OU_THETA)
-            state = memory * self._state + np.sqrt(1.0 - memory**2) * fresh
-        noise = self.scale * state
-        self._state = state
-        self._slot += 1
-        return noise.astype(np.float32)
+        return self.ahead(1)[0]
+
+    def ahead(self, slots: int) -> np.ndarray:
+        """That of the next slots, float32 [T, A]: what as many calls would give."""
+        noise = self._rng.standard_normal((slots, self._size))
+        memory = np.exp(-_OU_THETA)
+        fresh = np.sqrt(1.0 - memory**2)
+        scales = self._scales(slots)
+        for slot in range(slots):
+            if self._state is not None:
+                noise[slot] = memory * self._state + fresh * noise[slot]
+            self._state = noise[slot]
+        self._slot += slots
+        return (scales[:, None] * noise).astype(np.float32)
+
+    def _scales(self, slots: int) -> np.ndarray:
+        """ξ_t of the next slots [T]."""
+        return self._scale * np.maximum(0.0, 1.0 - (self._slot + np.arange(slots)) / self._total_slots)
 
 
 def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:

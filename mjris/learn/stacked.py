@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv, OfficeVecEnv
-from mjris.learn.agent import build_agent
+from mjris.learn.agent import DecayingOUNoise, build_agent
 from mjris.learn.federation import (
     EnvFactory,
     EpisodeMetrics,
@@ -174,10 +174,7 @@ class StackedRuns:
         warmup, size = self._config.agent.warmup_slots, self._config.agent.batch_size
         random = [[agent.action_space.sample() for _ in before[before < warmup]] for agent in agents]
         filled = np.minimum(before[before + 1 > warmup] + 1, self._memory.capacity)
-        noise = [[_noise(agent) for _ in before] for agent in agents]
-        for agent in agents:
-            assert agent.action_noise is not None
-            agent.action_noise.reset()
+        noise = [_noise(agent, len(before)) for agent in agents]
         rows = [generator.randint(0, filled[:, None], (len(filled), size)) for generator in generators]
         return _Draws(np.stack(random, 1), np.stack(noise, 1), np.stack(rows, 1))
 
@@ -278,9 +275,12 @@ def _seed(agent: DDPG, seed: int) -> np.random.RandomState:
     return np.random.RandomState(seed)
 
 
-def _noise(agent: DDPG) -> FloatArray:
-    assert agent.action_noise is not None
-    return agent.action_noise()
+def _noise(agent: DDPG, slots: int) -> FloatArray:
+    """Exploration noise of the slots of an episode [T, n]."""
+    assert isinstance(agent.action_noise, DecayingOUNoise)
+    noise = agent.action_noise.ahead(slots)
+    agent.action_noise.reset()
+    return noise
 
 
 def _array(values: Any) -> FloatArray:
