@@ -67,7 +67,8 @@ class Statistics(NamedTuple):
             for part in ("running_mean", "running_var")
         )
         norm = next((layer for layer in network.children() if isinstance(layer, nn.BatchNorm1d)), nn.BatchNorm1d(1))
-        return cls(means, variances, norm.eps, norm.momentum or 0.0)
+        assert norm.momentum is not None
+        return cls(means, variances, norm.eps, norm.momentum)
 
 
 class Networks(NamedTuple):
