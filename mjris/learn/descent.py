@@ -1,4 +1,4 @@
-"""One gradient step of stacked agents, agent by agent in compiled loops."""
+"""What stacked agents do and one gradient step of theirs, agent by agent in compiled loops."""
 
 import math
 from typing import NamedTuple
@@ -15,6 +15,7 @@ from mjris.learn.compiled_layers import backward, forward, through
 from mjris.learn.networks import Networks, Pass, Values, fits, slope
 
 FloatArray = NDArray[np.floating]
+IntArray = NDArray[np.int64]
 
 
 class Learner(NamedTuple):
@@ -44,18 +45,28 @@ class Rule(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Memory for one agent's step."""
+    """Memory for one agent's minibatch and step."""
 
     seen: Values
     """Observations [B, D]."""
+    pairs: Values
+    """Observations and actions [B, D + n]."""
+    rewards: Values
+    """[B]"""
+    next_seen: Values
+    next_pairs: Values
+    errors: Values
+    """Of the critic [B]."""
     steering: Values
     """The gradient of the actor's loss in its actions [B, n]."""
 
     @classmethod
     def of(cls, actor: Learner) -> "Room":
         """For what goes into an actor, and comes out."""
-        actions = actor.made.outputs[-1]
-        return cls(np.empty((len(actions), actor.own.layout.inputs[0]), np.float32), np.empty_like(actions))
+        rows, actions = actor.made.outputs[-1].shape
+        width = actor.own.layout.inputs[0]
+        shapes = (rows, width), (rows, width + actions), (rows,)
+        return cls(*(np.empty(shape, np.float32) for shape in (*shapes, *shapes, (rows, actions))))
 
 
 def has_compiled_form(agent: DDPG) -> bool:
@@ -68,57 +79,83 @@ def has_compiled_form(agent: DDPG) -> bool:
 
 
 @compiled
+def act(actors: Networks, observations: Values, made: Pass) -> Values:
+    """Actions [A, n] for observations [A, D] of A agents, whose layers make of one row what goes into `made`."""
+    actions = np.empty((len(observations), made.outputs[-1].shape[1]), np.float32)
+    for agent in range(len(actions)):
+        forward(actors, agent, observations[agent : agent + 1], made, False)
+        for i in range(actions.shape[1]):
+            actions[agent, i] = vectors.tanh(made.outputs[-1][0, i])
+    return actions
+
+
+@compiled
 def descend(
     actor: Learner,
     critic: Learner,
     room: Room,
     rule: Rule,
     steps: tuple[int, int],
-    pairs: Values,
-    rewards: Values,
-    next_pairs: Values,
-) -> tuple[Values, Values]:
-    """One step of A agents: what the critics say of the actors' actions, and the critics' errors [A, B, 1].
+    memory: Values,
+    places: IntArray,
+    following: IntArray,
+    losses: FloatArray,
+) -> None:
+    """One step of A agents; writes what the actors and the critics lost to `losses` [2, A].
 
-    For minibatches `pairs` [A, B, D + n], `rewards` [A, B, 1] and `next_pairs`; `steps` are the numbers of the actors'
-    step and of the critics'. Writes the actors' actions over those in the pairs.
+    For minibatches at `places` [A, B] of a `memory` of observations, actions and rewards [A, L, D + n + 1], and next
+    observations at `following` ones. `steps` are the numbers of the actors' step and of the critics'.
     """
-    values, errors = np.empty_like(rewards), np.empty_like(rewards)
     rows, said, last = len(room.seen), critic.made.outputs[-1][:, 0], len(critic.made.outputs) - 1
-    for agent in range(len(pairs)):
-        own, following, value, error = pairs[agent], next_pairs[agent], values[agent, :, 0], errors[agent, :, 0]
-        _act(actor.target, agent, following, room.seen, actor.made, False)
-        forward(critic.target, agent, following, critic.made, False)
-        error[:] = rewards[agent, :, 0] + np.float32(rule.discount) * said
-        forward(critic.own, agent, own, critic.made, True)
-        error[:] = said - error
-        slope(critic.made, last, 1)[:, 0] = error * np.float32(2 / rows)
-        backward(critic.own, agent, own, critic.made)
+    for agent in range(len(memory)):
+        _recall(memory[agent], places[agent], room.seen, room.pairs, room.rewards)
+        _recall(memory[agent], following[agent], room.next_seen, room.next_pairs, room.errors)
+        _act(actor.target, agent, room.next_seen, room.next_pairs, actor.made, False)
+        forward(critic.target, agent, room.next_pairs, critic.made, False)
+        room.errors[:] = room.rewards + np.float32(rule.discount) * said
+        forward(critic.own, agent, room.pairs, critic.made, True)
+        room.errors[:] = said - room.errors
+        losses[1, agent] = np.square(room.errors).mean()
+        slope(critic.made, last, 1)[:, 0] = room.errors * np.float32(2 / rows)
+        backward(critic.own, agent, room.pairs, critic.made)
         _adam(critic, agent, rule, steps[1])
 
-        _act(actor.own, agent, own, room.seen, actor.made, True)
+        _act(actor.own, agent, room.seen, room.pairs, actor.made, True)
         # Batch norms take the running statistics, see `PaperCritic`.
-        forward(critic.own, agent, own, critic.made, False)
+        forward(critic.own, agent, room.pairs, critic.made, False)
         scale = np.float32(1 / np.abs(said).mean() if rule.caution else 1)
-        value[:] = scale * said
+        losses[0, agent] = rule.caution * np.square(actor.made.outputs[-1]).mean() - scale * said.mean()
         slope(critic.made, last, 1)[:] = -scale / np.float32(rows)
         through(critic.own, agent, critic.made, room.steering)
         _steer(actor.made, room.steering, np.float32(2 * rule.caution / room.steering.size))
         backward(actor.own, agent, room.seen, actor.made)
         _adam(actor, agent, rule, steps[0])
-    return values, errors
 
 
 @compiled
-def _act(actors: Networks, agent: int, pairs: Values, seen: Values, made: Pass, training: bool) -> None:
-    """Write an actor's actions into pairs of observations and actions [B, D + n]."""
-    width, actions = seen.shape[1], made.outputs[-1]
-    seen[:] = pairs[:, :width]
+def _recall(memory: Values, places: IntArray, seen: Values, pairs: Values, rewards: Values) -> None:
+    """Write observations [B, D], these with actions [B, D + n], and rewards [B] from places [B] of a memory."""
+    for row in range(len(places)):
+        remembered, own, pair = memory[places[row]], seen[row], pairs[row]
+        for i in range(len(own)):
+            own[i] = remembered[i]
+        for i in range(len(pair)):
+            pair[i] = remembered[i]
+        rewards[row] = remembered[len(pair)]
+
+
+@compiled
+def _act(actors: Networks, agent: int, seen: Values, pairs: Values, made: Pass, training: bool) -> None:
+    """Write an actor's actions for observations [B, D] into pairs of both [B, D + n]."""
     forward(actors, agent, seen, made, training)
+    actions, width = made.outputs[-1], seen.shape[1]
+    flat = actions.reshape(-1)
+    for i in range(len(flat)):
+        flat[i] = vectors.tanh(flat[i])
     for row in range(len(actions)):
-        for i in range(actions.shape[1]):
-            actions[row, i] = vectors.tanh(actions[row, i])
-            pairs[row, width + i] = actions[row, i]
+        action, pair = actions[row], pairs[row]
+        for i in range(len(action)):
+            pair[width + i] = action[i]
 
 
 @compiled

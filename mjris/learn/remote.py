@@ -1,10 +1,13 @@
 """Objects in worker processes, all asked at once."""
 
+import io
 import multiprocessing
 import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
+
+import torch
 
 
 class Remotes:
@@ -35,10 +38,21 @@ class Remotes:
 
     def _run(self, function: Callable[[bytes], bytes], messages: Sequence[Any]) -> list[Any]:
         # Pickled here, because torch would send tensors through shared file descriptors.
-        futures = [
-            pool.submit(function, pickle.dumps(message)) for pool, message in zip(self._pools, messages, strict=True)
-        ]
+        futures = [pool.submit(function, _packed(message)) for pool, message in zip(self._pools, messages, strict=True)]
         return [pickle.loads(future.result()) for future in futures]
+
+
+class _Pickler(pickle.Pickler):
+    """Hands tensors over as arrays: torch packs every one of them like a file of its own, ten times as slowly."""
+
+    def reducer_override(self, value: Any) -> Any:
+        return (torch.from_numpy, (value.numpy(),)) if type(value) is torch.Tensor else NotImplemented
+
+
+def _packed(message: Any) -> bytes:
+    packed = io.BytesIO()
+    _Pickler(packed, pickle.HIGHEST_PROTOCOL).dump(message)
+    return packed.getvalue()
 
 
 # What follows runs in the processes, each of which keeps its object here.
@@ -49,9 +63,9 @@ def _make(message: bytes) -> bytes:
     global _own
     make, arguments = pickle.loads(message)
     _own = make(*arguments)
-    return pickle.dumps(None)
+    return _packed(None)
 
 
 def _call(message: bytes) -> bytes:
     method, arguments = pickle.loads(message)
-    return pickle.dumps(getattr(_own, method)(*arguments))
+    return _packed(getattr(_own, method)(*arguments))

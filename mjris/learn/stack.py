@@ -6,15 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3 import DDPG
 from torch import Tensor, nn
 
 from mjris.learn.agent import CautiousCritic
-from mjris.learn.descent import Learner, Room, Rule, descend, has_compiled_form
+from mjris.learn.descent import Learner, Room, Rule, act, descend, has_compiled_form
 from mjris.learn.layers import StackedNetwork, turned
-from mjris.learn.networks import Networks, Pass
+from mjris.learn.networks import Networks, Pass, Values
 from mjris.learn.products import AVAILABLE
-from mjris.learn.replay import Batch
+from mjris.learn.replay import Batch, Picked
+
+FloatArray = NDArray[np.floating]
 
 # The networks of an agent that `State` holds, and how each names its sequence of layers.
 _PARTS = {"actor": "mu", "actor_target": "mu", "critic": "qf0", "critic_target": "qf0"}
@@ -43,29 +46,39 @@ class StackedDDPG:
             for name in ("actor", "critic")
         }
         self._device = device
-        self._descent = self._compiled(first) if device == "cpu" and AVAILABLE and has_compiled_form(first) else None
+        self._one_by_one = device == "cpu" and AVAILABLE and has_compiled_form(first)
+        if self._one_by_one:
+            self._descent = self._compiled(first)
+            self._acting = self._descent[0].own, Pass.of(self._descent[0].own, 1)
+        self._losses: FloatArray = np.empty((2, len(agents)))
 
     @torch.inference_mode()
-    def act(self, observations: Tensor) -> Tensor:
+    def act(self, observations: Values) -> Values:
         """Actions [A, n] without noise for observations [A, D]."""
-        return self._actor.forward(observations.to(self._device)[:, None])[:, 0].cpu()
+        if self._one_by_one:
+            actors, made = self._acting
+            return act(actors, observations, made)
+        return self._actor.forward(torch.from_numpy(observations).to(self._device)[:, None])[:, 0].cpu().numpy()
 
-    def update(self, batch: Batch) -> "Judgement":
-        """One gradient step of every agent, as in SB3's `DDPG.train`. Writes over the actions in the batch.
+    def update(self, batch: Batch) -> None:
+        """One gradient step of every agent, as in SB3's `DDPG.train`.
 
         On the CPU it is done agent by agent in compiled loops, where those know the networks' form.
         """
-        if self._descent is None:
-            return self._update_together(batch)
+        if not self._one_by_one:
+            self._update_together(batch.picked())
+            return
         for network in (self._actor, self._critic):
             network.count_batch()
-        actor, critic = self._optimizers.values()
-        arrays = (tensor.numpy() for tensor in (batch.pairs, batch.rewards, batch.next_pairs))
-        values, errors = descend(*self._descent, (actor.count(), critic.count()), *arrays)
-        return Judgement(torch.from_numpy(values), self._caution, batch.actions, torch.from_numpy(errors))
+        steps = self._optimizers["actor"].count(), self._optimizers["critic"].count()
+        descend(*self._descent, steps, batch.rows.numpy(), batch.places, batch.following, self._losses)
+
+    def losses(self) -> FloatArray:
+        """What the actors and the critics lost in the last update [2, A], as SB3 logs it."""
+        return self._losses if self._one_by_one else self._judgement.losses()
 
     @torch.inference_mode()
-    def _update_together(self, batch: Batch) -> "Judgement":
+    def _update_together(self, batch: Picked) -> None:
         batch.next_actions.copy_(self._actor_target.forward(batch.next_observations))
         next_values = self._critic_target.forward(batch.next_pairs)
         errors = self._critic.forward(batch.pairs, training=True)
@@ -79,7 +92,7 @@ class StackedDDPG:
         self._actor.learn(self._gradient_in_actions(batch.actions, scale))
         self._optimizers["actor"].step()
         self._move_targets()
-        return Judgement(scale * values, self._caution, batch.actions, errors)
+        self._judgement = Judgement(scale * values, self._caution, batch.actions, errors)
 
     def _gradient_in_actions(self, actions: Tensor, scale: Tensor) -> Tensor:
         """That of the actors' losses [A, B, n], for the values of the critics' last `forward` by `scale` [A, 1, 1].
@@ -109,9 +122,9 @@ class StackedDDPG:
         for name, tensor in self._state().items():
             tensor[agent] = turned(state[name].to(self._device))
 
-    def store(self, index: int, agent: DDPG) -> None:
-        """Write parameters, statistics and optimizer state of one agent back to it."""
-        agent.policy.load_state_dict(self.state(index))
+    def store(self, index: int, agent: DDPG, params: Mapping[str, Tensor] | None = None) -> None:
+        """Write one agent's optimizer state back to it, and its parameters and statistics or those given."""
+        agent.policy.load_state_dict(self.state(index) if params is None else params)
         for name, optimizer in self._optimizers.items():
             optimizer.store(index, getattr(agent, name).optimizer)
 
@@ -150,10 +163,10 @@ class Judgement(NamedTuple):
     errors: Tensor
     """Of the critics [A, B, 1]."""
 
-    def losses(self) -> tuple[Tensor, Tensor]:
-        """Of the actors and of the critics [A], as SB3 logs them."""
+    def losses(self) -> FloatArray:
+        """`StackedDDPG.losses`."""
         actors = self.caution * self.actions.square().mean((1, 2)) - self.values.mean((1, 2))
-        return actors, self.errors.square().mean((1, 2))
+        return torch.stack([actors, self.errors.square().mean((1, 2))]).cpu().numpy()
 
 
 class StackedAdam:
@@ -174,7 +187,7 @@ class StackedAdam:
             for agent, entries in enumerate(states):
                 for parameter, entry in zip(parameters, entries, strict=bool(entries)):
                     parameter[agent] = turned(entry[key])
-        self._steps = torch.tensor(steps[0], device=network.parameters.device)
+        self._steps, self._device = int(steps[0]), network.parameters.device
         self.rates = np.array([optimizer.param_groups[0]["lr"] for optimizer in optimizers])
         """Learning rates [A]."""
         self._groups = []
@@ -189,17 +202,17 @@ class StackedAdam:
     def count(self) -> int:
         """Begin a step: its number."""
         self._steps += 1
-        return int(self._steps)
+        return self._steps
 
     def step(self) -> None:
         """One step along the gradients of the network."""
-        self._steps += 1
+        step = torch.full((), self.count(), dtype=torch.float32, device=self._device)
         for tensors, rate in self._groups:
             # What `torch.optim.Adam` calls in the end, which takes longer to get there than the step itself.
             torch.ops.aten._fused_adam_(
                 *tensors,
                 [],
-                [self._steps],
+                [step],
                 lr=rate,
                 beta1=self.betas[0],
                 beta2=self.betas[1],
@@ -211,12 +224,11 @@ class StackedAdam:
 
     def store(self, index: int, optimizer: torch.optim.Optimizer) -> None:
         """Write one agent's state back to its own optimizer."""
-        state = {
-            number: {"step": self._steps.to("cpu", copy=True)}
-            | {key: _single(moment[index]) for key, moment in zip(self._moments, moments, strict=True)}
-            for number, moments in enumerate(zip(*self._moments.values(), strict=True))
-        }
-        optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+        parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+        for parameter, *moments in zip(parameters, *self._moments.values(), strict=True):
+            optimizer.state[parameter] = {"step": torch.tensor(float(self._steps))} | {
+                key: _single(moment[index]) for key, moment in zip(self._moments, moments, strict=True)
+            }
 
 
 def _single(tensor: Tensor) -> Tensor:

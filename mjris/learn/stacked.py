@@ -96,9 +96,7 @@ class StackedRuns:
         """`Cell.save` of every cell u of a run to cell_u.zip in `folder`, which must exist."""
         for index, (g, u) in enumerate(self._members):
             if g == run:
-                self._store(index, self._agents[index])
-                if params is not None:
-                    self._agents[index].policy.load_state_dict(params)
+                self._store(index, self._agents[index], params)
                 self._agents[index].save(folder / f"cell_{u}.zip")
 
     def agent(self, run: int, cell: int) -> DDPG:
@@ -118,8 +116,8 @@ class StackedRuns:
         for env in self._envs:
             env.close()
 
-    def _store(self, index: int, agent: DDPG) -> None:
-        self._learner.store(index, agent)
+    def _store(self, index: int, agent: DDPG, params: State | None = None) -> None:
+        self._learner.store(index, agent, params)
         agent.num_timesteps = self._slots
         agent._n_updates = self._updates
         agent._episode_num = self._slots // self._config.task.slots
@@ -146,18 +144,19 @@ class StackedRuns:
         """Play and learn one episode in every cell; its metrics, one of each agent."""
         slots = self._config.task.slots
         draws = self._draw(generators)
-        rewards, infos, judgement = [], [], None
+        rewards, infos = [], []
         for slot in range(slots):
-            actions = np.clip(self._policy.scale_action(self._act(draws, slot)) + draws.noise[slot], -1, 1)
-            reward, info = self._step(actions, last=slot + 1 == slots)
+            warm_up = slot < len(draws.actions)
+            actions = draws.actions[slot] if warm_up else self._learner.act(self._observations)
+            reward, info = self._step(np.clip(actions + draws.noise[slot], -1, 1), last=slot + 1 == slots)
             rewards.append(reward)
             infos.append(info)
             # The updates are those of the last slots: there is none in the warm-up.
             update = len(draws.rows) - slots + slot
             if update >= 0:
-                judgement = self._learner.update(self._memory.batch(draws.rows[update]))
+                self._learner.update(self._memory.batch(draws.rows[update]))
         self._updates += len(draws.rows)
-        metrics, losses = [], None if judgement is None else judgement.losses()
+        metrics, losses = [], self._learner.losses() if len(draws.rows) > 0 else None
         for index, (agent, (_, u)) in enumerate(zip(self._agents, self._members, strict=True)):
             own = [float(reward[index]) for reward in rewards]
             metrics.append(episode_metrics(round_, episode, u, own, [info[index] for info in infos]))
@@ -172,17 +171,11 @@ class StackedRuns:
         """What an episode needs of chance, of each agent from its own generators and in the order of SB3."""
         agents, before = self._agents, self._slots + np.arange(self._config.task.slots)
         warmup, size = self._config.agent.warmup_slots, self._config.agent.batch_size
-        random = [[agent.action_space.sample() for _ in before[before < warmup]] for agent in agents]
+        random = [np.stack([agent.action_space.sample() for agent in agents]) for _ in before[before < warmup]]
         filled = np.minimum(before[before + 1 > warmup] + 1, self._memory.capacity)
         noise = [_noise(agent, len(before)) for agent in agents]
         rows = [generator.randint(0, filled[:, None], (len(filled), size)) for generator in generators]
-        return _Draws(np.stack(random, 1), np.stack(noise, 1), np.stack(rows, 1))
-
-    def _act(self, draws: "_Draws", slot: int) -> FloatArray:
-        """Actions [A, n] in the units of the environment, before noise."""
-        if slot < len(draws.actions):
-            return draws.actions[slot]
-        return self._policy.unscale_action(self._learner.act(torch.as_tensor(self._observations)).numpy())
+        return _Draws([self._policy.scale_action(each) for each in random], np.stack(noise, 1), np.stack(rows, 1))
 
     def _step(self, actions: FloatArray, last: bool) -> tuple[FloatArray, list[dict[str, Any]]]:
         """Play one slot in every cell, with actions scaled to [-1, 1], and remember it: rewards [A] and infos."""
@@ -202,8 +195,8 @@ class StackedRuns:
 class _Draws(NamedTuple):
     """All that is random in one episode of T slots."""
 
-    actions: FloatArray
-    """Of the slots that are warm-up [≤ T, A, n]."""
+    actions: list[FloatArray]
+    """Of the slots that are warm-up, scaled to [-1, 1], each [A, n]."""
     noise: FloatArray
     """[T, A, n]"""
     rows: NDArray[np.int64]
