@@ -52,13 +52,12 @@ class StackedDDPG:
             self._acting = self._descent[0].own, Pass.of(self._descent[0].own, 1)
         self._losses: FloatArray = np.empty((2, len(agents)))
 
-    @torch.inference_mode()
     def act(self, observations: Values) -> Values:
         """Actions [A, n] without noise for observations [A, D]."""
-        if self._one_by_one:
-            actors, made = self._acting
-            return act(actors, observations, made)
-        return self._actor.forward(torch.from_numpy(observations).to(self._device)[:, None])[:, 0].cpu().numpy()
+        if not self._one_by_one:
+            return self._act_together(observations)
+        actors, made = self._acting
+        return act(actors, observations, made)
 
     def update(self, batch: Batch) -> None:
         """One gradient step of every agent, as in SB3's `DDPG.train`.
@@ -76,6 +75,10 @@ class StackedDDPG:
     def losses(self) -> FloatArray:
         """What the actors and the critics lost in the last update [2, A], as SB3 logs it."""
         return self._losses if self._one_by_one else self._judgement.losses()
+
+    @torch.inference_mode()
+    def _act_together(self, observations: Values) -> Values:
+        return self._actor.forward(torch.from_numpy(observations).to(self._device)[:, None])[:, 0].cpu().numpy()
 
     @torch.inference_mode()
     def _update_together(self, batch: Picked) -> None:
