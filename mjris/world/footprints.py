@@ -63,15 +63,36 @@ class Footprints:
 @compiled
 def gap(rectangles: Rectangles, office: int, x: float, y: float) -> float:
     """Distance from a place to the nearest rectangle of an office [m]; zero inside one."""
-    centre, half, axis = rectangles
     nearest = np.inf
-    for b in range(centre.shape[2]):
-        dx, dy = x - centre[0, office, b], y - centre[1, office, b]
-        ax, ay = axis[0, office, b], axis[1, office, b]
-        beyond_x = max(abs(dx * ax + dy * ay) - half[0, office, b], 0.0)
-        beyond_y = max(abs(dy * ax - dx * ay) - half[1, office, b], 0.0)
-        nearest = min(nearest, beyond_x * beyond_x + beyond_y * beyond_y)
+    for b in range(rectangles[0].shape[2]):
+        nearest = min(nearest, _squared_gap(rectangles, office, b, x, y))
     return math.sqrt(nearest)
+
+
+@compiled
+def near(rectangles: Rectangles, office: int, x: float, y: float, reach_m: float) -> Rectangles:
+    """Those of an office's rectangles that are within reach of a place, as those of the only office."""
+    count, close = 0, np.empty(rectangles[0].shape[2], np.int64)
+    for b in range(len(close)):
+        if _squared_gap(rectangles, office, b, x, y) <= reach_m * reach_m:
+            close[count], count = b, count + 1
+    centre, half, axis = np.empty((2, 1, count)), np.empty((2, 1, count)), np.empty((2, 1, count))
+    for place in range(count):
+        for i in range(2):
+            centre[i, 0, place] = rectangles[0][i, office, close[place]]
+            half[i, 0, place] = rectangles[1][i, office, close[place]]
+            axis[i, 0, place] = rectangles[2][i, office, close[place]]
+    return centre, half, axis
+
+
+@compiled
+def _squared_gap(rectangles: Rectangles, office: int, b: int, x: float, y: float) -> float:
+    centre, half, axis = rectangles
+    dx, dy = x - centre[0, office, b], y - centre[1, office, b]
+    ax, ay = axis[0, office, b], axis[1, office, b]
+    beyond_x = max(abs(dx * ax + dy * ay) - half[0, office, b], 0.0)
+    beyond_y = max(abs(dy * ax - dx * ay) - half[1, office, b], 0.0)
+    return beyond_x * beyond_x + beyond_y * beyond_y
 
 
 @compiled

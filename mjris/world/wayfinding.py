@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.compiled import compiled
-from mjris.world.footprints import Rectangles, gap, is_free
+from mjris.world.footprints import Rectangles, gap, is_free, near
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
@@ -19,6 +19,8 @@ _RISE = 0.2
 """Such a rover is to gain this much distance per distance driven."""
 _OUT_SLACK_M = 1e-3
 """How much worse than the best a way out may be."""
+_ROUNDING_M = 1e-4
+"""How far sums of the lengths of ways are off, at most."""
 _LOOK_M = 1.0
 """How far ahead a rover looks for people who stand in its way."""
 _TURNS = np.radians([0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90])
@@ -204,11 +206,15 @@ def _sees(graph: Graph, office: int, x: float, y: float, end_x: float, end_y: fl
 @compiled
 def _lengths_in_sight(graph: Graph, office: int, x: float, y: float, nodes: IntArray) -> FloatArray:
     """Straight ways [m] from a place to some nodes, inf for those out of sight."""
-    lengths = np.full(len(nodes), np.inf)
+    lengths = np.empty(len(nodes))
     for choice in range(len(nodes)):
-        end_x, end_y = graph.nodes[nodes[choice]]
-        if _sees(graph, office, x, y, end_x, end_y):
-            lengths[choice] = math.hypot(end_x - x, end_y - y)
+        lengths[choice] = math.hypot(graph.nodes[nodes[choice], 0] - x, graph.nodes[nodes[choice], 1] - y)
+    # No way leads past what is further away than the furthest node.
+    solid = near(graph.solid, office, x, y, lengths.max() + 2 * graph.keep_m)
+    for choice in range(len(nodes)):
+        u, v = graph.nodes[nodes[choice], 0] - x, graph.nodes[nodes[choice], 1] - y
+        if not is_free(solid, 0, x, y, u, v, graph.keep_m):
+            lengths[choice] = np.inf
     return lengths
 
 
@@ -233,21 +239,34 @@ def integrals_along(
     graph: Graph, length: FloatArray, present: FloatArray, values: FloatArray, most_m: float
 ) -> FloatArray:
     """`Paths.along`."""
-    integrals, neighbours = np.zeros(length.shape), graph.neighbours
+    integrals, nodes = np.zeros(length.shape), length.shape[1]
+    parents, behind = np.empty(nodes, np.int64), np.empty(nodes, np.int64)
     for cell in range(len(length)):
         way, value, integral = length[cell], values[cell], integrals[cell]
-        edges = graph.edge_m[cell % len(graph.edge_m)]
-        wanted = np.flatnonzero(way < most_m)
-        # The node before another one on its way is nearer to the start, so that it comes first.
-        for node in wanted[np.argsort(way[wanted])]:
-            parent, least = node, np.inf
-            for edge in range(neighbours.shape[1]):
-                through = way[neighbours[node, edge]] + edges[node, edge]
-                if through < least:
-                    parent, least = neighbours[node, edge], through
-            if least > way[node] + 1e-4:
-                # The way to this node comes straight from the start.
-                integral[node] = way[node] * (present[cell] + value[node]) / 2
-            else:
-                integral[node] = integral[parent] + (way[node] - way[parent]) * (value[node] + value[parent]) / 2
+        edges, known = graph.edge_m[cell % len(graph.edge_m)], way >= most_m
+        for last in range(nodes):
+            # Back along the way to what is known, which the start is to its first node, and from there on again.
+            node, count = last, 0
+            while not known[node]:
+                known[node], parents[node] = True, _parent(graph.neighbours, edges, way, node)
+                behind[count], count = node, count + 1
+                node = parents[node]
+            for back in range(count - 1, -1, -1):
+                node = behind[back]
+                before = parents[node]
+                if before == node:
+                    integral[node] = way[node] * (present[cell] + value[node]) / 2
+                else:
+                    integral[node] = integral[before] + (way[node] - way[before]) * (value[node] + value[before]) / 2
     return integrals
+
+
+@compiled
+def _parent(neighbours: IntArray, edge_m: NDArray[np.float32], way_m: FloatArray, node: int) -> int:
+    """The node before another one on its way, for the lengths of all ways [n]; itself if it is the first one."""
+    parent, least = node, np.inf
+    for edge in range(neighbours.shape[1]):
+        through = way_m[neighbours[node, edge]] + edge_m[node, edge]
+        if through < least:
+            parent, least = neighbours[node, edge], through
+    return node if least > way_m[node] + _ROUNDING_M else parent
