@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjris.config import preset
-from mjris.world.footprints import Footprints, footprints
+from mjris.world.footprints import Footprints, footprints, is_free, near
 from mjris.world.layout import layout_names, load_layout
 from mjris.world.office import PERSON_HEIGHT_M, build
 
@@ -40,6 +40,18 @@ def test_distance_is_that_of_the_nearest_rectangle(rectangles, points):
     expected = [min(distance_to_rectangle(point, rectangle) for rectangle in rectangles) for point in points]
     actual = from_rectangles(rectangles).distance(np.array(points)[None])
     np.testing.assert_allclose(actual[0], expected, atol=1e-9)
+
+
+@given(st.lists(RECTANGLE, min_size=1, max_size=5), *[COORDINATE] * 4, st.floats(0.01, 0.5))
+def test_what_is_near_decides_whether_a_way_is_free(rectangles, x, y, u, v, keep):
+    solid, reach = from_rectangles(rectangles).arrays, math.hypot(u, v) + 2 * keep
+    close = near(solid, 0, x, y, reach)
+    kept = [rectangle for rectangle in rectangles if distance_to_rectangle((x, y), rectangle) <= reach]
+    assert close[0].shape == (2, 1, len(kept))
+    if kept:
+        for own, expected in zip(close, from_rectangles(kept).arrays, strict=True):
+            np.testing.assert_array_equal(own, expected)
+    assert is_free(close, 0, x, y, u, v, keep) == is_free(solid, 0, x, y, u, v, keep)
 
 
 @given(st.lists(RECTANGLE, min_size=1, max_size=3), *[COORDINATE] * 4)
