@@ -54,7 +54,9 @@ class Room(NamedTuple):
     rewards: Values
     """[B]"""
     next_seen: Values
+    """Next observations [B, D]."""
     next_pairs: Values
+    """These and the target's actions [B, D + n]."""
     errors: Values
     """Of the critic [B]."""
     steering: Values
@@ -109,6 +111,7 @@ def descend(
     rows, said, last = len(room.seen), critic.made.outputs[-1][:, 0], len(critic.made.outputs) - 1
     for agent in range(len(memory)):
         _recall(memory[agent], places[agent], room.seen, room.pairs, room.rewards)
+        # The following rows' own rewards are nothing here: errors are written over them.
         _recall(memory[agent], following[agent], room.next_seen, room.next_pairs, room.errors)
         _act(actor.target, agent, room.next_seen, room.next_pairs, actor.made, False)
         forward(critic.target, agent, room.next_pairs, critic.made, False)
