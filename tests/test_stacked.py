@@ -156,9 +156,12 @@ def test_agents_act_as_they_do_alone(network: str, one_by_one: bool, monkeypatch
     for agent in agents:
         agent.learn(30)
     observations = np.random.default_rng(0).normal(size=(3, 2)).astype(np.float32)
-    acted = StackedDDPG(agents).act(observations)
+    stack = StackedDDPG(agents)
     alone = [agent.predict(row)[0] for agent, row in zip(agents, observations, strict=True)]
-    np.testing.assert_allclose(acted, alone, atol=1e-6)
+    np.testing.assert_allclose(stack.act(observations), alone, atol=1e-6)
+    # Environments whose spaces are of double precision, or rows of a larger array.
+    np.testing.assert_allclose(stack.act(observations.astype(np.float64)), alone, atol=1e-6)
+    np.testing.assert_allclose(stack.act(np.repeat(observations, 2, 1)[:, ::2]), alone, atol=1e-6)
 
 
 @pytest.mark.parametrize("network", ["mlp", "paper"])

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from mjris.learn.agent import CautiousCritic
 from mjris.learn.descent import Learner, Room, Rule, act, descend, has_compiled_form
 from mjris.learn.layers import StackedNetwork, turned
-from mjris.learn.networks import Networks, Pass, Values
+from mjris.learn.networks import Networks, Pass
 from mjris.learn.products import AVAILABLE
 from mjris.learn.replay import Batch, Picked
 
@@ -46,14 +46,17 @@ class StackedDDPG:
             for name in ("actor", "critic")
         }
         self._device = device
+        self._dtype = np.float64 if self._actor.parameters.dtype == torch.float64 else np.float32
         self._one_by_one = device == "cpu" and AVAILABLE and has_compiled_form(first)
         if self._one_by_one:
             self._descent = self._compiled(first)
             self._acting = self._descent[0].own, Pass.of(self._descent[0].own, 1)
         self._losses: FloatArray = np.empty((2, len(agents)))
 
-    def act(self, observations: Values) -> Values:
+    def act(self, observations: FloatArray) -> FloatArray:
         """Actions [A, n] without noise for observations [A, D]."""
+        # Spaces may be of any precision; networks, and products of the compiled loops, are not.
+        observations = np.ascontiguousarray(observations, self._dtype)
         if not self._one_by_one:
             return self._act_together(observations)
         actors, made = self._acting
@@ -74,10 +77,10 @@ class StackedDDPG:
 
     def losses(self) -> FloatArray:
         """What the actors and the critics lost in the last update [2, A], as SB3 logs it."""
-        return self._losses if self._one_by_one else self._judgement.losses()
+        return self._losses.copy() if self._one_by_one else self._judgement.losses()
 
     @torch.inference_mode()
-    def _act_together(self, observations: Values) -> Values:
+    def _act_together(self, observations: FloatArray) -> FloatArray:
         return self._actor.forward(torch.from_numpy(observations).to(self._device)[:, None])[:, 0].cpu().numpy()
 
     @torch.inference_mode()
