@@ -240,8 +240,8 @@ class Config:
     task: Task = Task()
     agent: Agent = Agent()
     federation: Federation = Federation()
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    """All randomness follows from it."""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] | None = None
+    """All randomness follows from it; a run without one draws one and keeps it."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "Config":
@@ -256,6 +256,13 @@ class Config:
                 f"for each, and radio.num_antennas is {self.radio.num_antennas}"
             )
         return self
+
+    @property
+    def named_seed(self) -> int:
+        """The seed. Raises `ConfigError` where there is none."""
+        if self.seed is None:
+            raise ConfigError("seed: none is given, and what depends on chance cannot be kept without one")
+        return self.seed
 
     def to_json(self) -> str:
         """The config as JSON text, ending in a newline."""

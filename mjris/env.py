@@ -11,22 +11,22 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 
 from mjris.config import Config, ConfigError, preset
 from mjris.parallel import SpreadTask, info_columns, infos_of
-from mjris.streams import CellId
+from mjris.streams import CellId, first_cells, seeded
 from mjris.task import Task
 
 
 class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
     """One cell; an episode is `task.slots` slots and ends by truncation.
 
-    All randomness follows from the seed of `reset` (at first from the config's) and the cell's number: cells with the
-    same seed share what cells share, and differ in the rest.
+    All randomness follows from the seed of `reset` (at first from the config's, or a fresh one) and the cell's number:
+    cells with the same seed share what cells share, and differ in the rest.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own declaration
 
     def __init__(self, config: Config | None = None, cell: int = 0):
         self.config = config or preset("office")
-        self.task = Task(self.config, [CellId(self.config.seed, cell)])
+        self.task = Task(self.config, [CellId(seeded(self.config).named_seed, cell)])
         self.observation_space, self.action_space = _spaces(self.task.observation_size, self.task.action_size)
         self._slot = 0
 
@@ -62,7 +62,7 @@ class OfficeVecEnv(VecEnv):
 
     def __init__(self, cells: int | Sequence[CellId], config: Config | None = None, processes: int = 1):
         self.config = config or preset("office")
-        cells = [CellId(self.config.seed, e) for e in range(cells)] if isinstance(cells, int) else cells
+        cells = first_cells(self.config, cells) if isinstance(cells, int) else cells
         if not 1 <= processes <= len(cells):
             raise ConfigError(f"processes: {processes} is not allowed: there are {len(cells)} cells")
         self._task = SpreadTask(self.config, cells, processes)

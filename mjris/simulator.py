@@ -12,7 +12,7 @@ from mjris.compiled import compiled
 from mjris.config import Config
 from mjris.constraints import Constraints, evaluate
 from mjris.radio import access, alignment, channel, links, propagation, serving
-from mjris.streams import CellId, Streams
+from mjris.streams import CellId, Streams, first_cells
 from mjris.world.layout import load_layout
 from mjris.world.world import World
 
@@ -82,7 +82,7 @@ class Simulator:
 
     def __init__(self, config: Config, cells: int | Sequence[CellId] = 1):
         self.config = config
-        self.cells = [CellId(config.seed, e) for e in range(cells)] if isinstance(cells, int) else list(cells)
+        self.cells = first_cells(config, cells) if isinstance(cells, int) else list(cells)
         num_cells = self.num_cells = len(self.cells)
         self._streams = Streams(self.cells)
         self.world = World(config, load_layout(config.world.layout), self._streams.furniture())

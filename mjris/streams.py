@@ -1,17 +1,72 @@
-"""All that is random in cells: a stream of its own for each, and one that the cells of a run share."""
+"""All that is random: a stream of its own for every purpose and cell, all from one seed; and the streams of cells."""
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.config import Config
 from mjris.radio import propagation
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
+
+
+class Purpose(IntEnum):
+    """What a random stream is for: the first number of its key."""
+
+    FURNITURE = 0
+    """Where a cell's furniture stands."""
+    PLACES = 1
+    """Places and steps of a cell's rover and people."""
+    FADING = 2
+    """What a cell does not share of the fading: apart, so that arrays of any size leave places and steps alone."""
+    SHARED_FADING = 3
+    """What the cells of a run share of it."""
+    PHASES = 4
+    """Random phases of a cell: apart, so that they leave the rest of the scene as it is."""
+    AGENT = 5
+    """First weights and exploration noise of a cell's agent."""
+    LEARNING = 6
+    """Minibatches and warm-up actions of a cell in a round."""
+    EPISODES = 7
+    """The environments of a run in a round."""
+    SEARCH = 8
+    """Random starts of a search."""
+    RESAMPLING = 9
+    """Intervals by resampling."""
+    STUDY = 10
+    """Whatever a script draws by itself."""
+
+
+def sequence(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:
+    """What a stream follows from: the seed, what it is for, and perhaps whose it is, as cell and round."""
+    return np.random.SeedSequence(seed, spawn_key=(purpose, *key))
+
+
+def generator(seed: int, purpose: Purpose, *key: int) -> np.random.Generator:
+    """The generator of a stream, see `sequence`. Different keys have independent ones."""
+    return np.random.default_rng(sequence(seed, purpose, *key))
+
+
+def word(seed: int, purpose: Purpose, *key: int) -> int:
+    """A 32-bit seed from a stream of its own, for whatever takes no generator."""
+    return int(sequence(seed, purpose, *key).generate_state(1)[0])
+
+
+def fresh_seed() -> int:
+    """A seed that nobody named, from the entropy of the system, 32 bit."""
+    return int(np.random.SeedSequence().generate_state(1)[0])
+
+
+def seeded(config: Config) -> Config:
+    """The config with a seed: its own, or a fresh one where it names none."""
+    return config if config.seed is not None else replace(config, seed=fresh_seed())
 
 
 class CellId(NamedTuple):
@@ -23,17 +78,23 @@ class CellId(NamedTuple):
     """Counted from 0 in the run."""
 
 
+def first_cells(config: Config, count: int) -> list[CellId]:
+    """The first cells of a run of `config`, with a fresh seed where it names none."""
+    seed = seeded(config).named_seed
+    return [CellId(seed, number) for number in range(count)]
+
+
 class _OfCell(NamedTuple):
     """Random generators of one cell."""
 
     own: np.random.Generator
-    """Places and steps of this cell."""
+    """`Purpose.PLACES`"""
     fading: np.random.Generator
-    """What it does not share of the fading: a stream apart, so that arrays of any size leave places and steps alone."""
+    """`Purpose.FADING`"""
     shared: np.random.Generator
-    """The one that a run's cells share, or a copy of it where cells are not at the same place of their episodes."""
+    """`Purpose.SHARED_FADING`, or a copy of it where cells are not at the same place of their episodes."""
     phases: np.random.Generator
-    """Random phases: a stream of their own, so that they leave the rest of the scene as it is."""
+    """`Purpose.PHASES`"""
 
 
 class Streams:
@@ -46,17 +107,17 @@ class Streams:
 
     def furniture(self) -> list[np.random.Generator]:
         """Generators that place each cell's furniture, always the same [E]."""
-        return [np.random.default_rng([cell.seed, cell.number, 1]) for cell in self._cells]
+        return [generator(cell.seed, Purpose.FURNITURE, cell.number) for cell in self._cells]
 
     def seed(self, seeds: Sequence[int]) -> None:
         """Restart all streams with a seed for each cell; equal seeds share a stream."""
-        shared = {seed: np.random.default_rng(seed) for seed in seeds}
+        shared = {seed: generator(seed, Purpose.SHARED_FADING) for seed in seeds}
         self._streams = [
             _OfCell(
-                own=np.random.default_rng([seed, cell.number, 0]),
-                fading=np.random.default_rng([seed, cell.number, 3]),
+                own=generator(seed, Purpose.PLACES, cell.number),
+                fading=generator(seed, Purpose.FADING, cell.number),
                 shared=shared[seed],
-                phases=np.random.default_rng([seed, cell.number, 2]),
+                phases=generator(seed, Purpose.PHASES, cell.number),
             )
             for seed, cell in zip(seeds, self._cells, strict=True)
         ]

@@ -53,7 +53,7 @@ def assert_cells_alone_give_the_same(settings: Config, tolerance: float) -> None
     commands = [inputs(together, rng, 3) for _ in range(8)]
     slots = [together.step(*command) for command in commands]
     for cell in range(3):
-        single = Simulator(settings, [CellId(settings.seed, cell)])
+        single = Simulator(settings, [CellId(settings.named_seed, cell)])
         for slot, command in zip(slots, commands, strict=True):
             assert_same(slot, single.step(*(part[cell : cell + 1] for part in command)), cell, tolerance)
 

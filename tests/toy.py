@@ -16,7 +16,7 @@ class ToyEnv(gym.Env):
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._slots = config.task.slots
         self._cell = cell
-        self._rng = np.random.default_rng((config.seed, cell))
+        self._rng = np.random.default_rng((config.named_seed, cell))
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):  # noqa: ARG002
         if seed is not None:

@@ -15,6 +15,7 @@ from mjris.eval.bound import upper_bound
 from mjris.eval.optimum import best_powers
 from mjris.eval.policies import Act, Policy, agent_policies, no_ris, planner, reference_controls
 from mjris.radiomap import penalised
+from mjris.streams import CellId, Purpose, generator
 from mjris.task import Task
 
 FloatArray = NDArray[np.floating]
@@ -48,8 +49,8 @@ class Played:
 def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: bool = False) -> Played:
     """One episode in each of `scenes` cells, all stepped together, with fading of their own; see `compare`."""
     task_config, radio = replace(config.task, **policy.changes), replace(config.radio, difference_factor=1.0)
-    task = Task(replace(config, task=task_config, radio=radio), cells=scenes)
-    task.reset(seed)
+    # Furniture follows from the scenes' seed, too: held-out scenes are not the cells of the training.
+    task = Task(replace(config, task=task_config, radio=radio), [CellId(seed, scene) for scene in range(scenes)])
     simulator = task.simulator
     rates, direct, bounds, met = [], [], [], []
     collisions, clearance = 0, np.inf
@@ -98,7 +99,7 @@ def compare(
     if seed < 0:
         raise ConfigError(f"scene_seed: {seed} is not allowed: it must be at least 0")
     policies = [*agent_policies(act), reference_controls(), no_ris()]
-    rng = np.random.default_rng(seed)
+    rng = generator(seed, Purpose.RESAMPLING)
     rows = []
     for policy in policies:
         report(policy.name)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mjris.eval.optimum import best_known, best_powers
 from mjris.radiomap import best_goals
 from mjris.simulator import Controls, Simulator
+from mjris.streams import Purpose, generator
 from mjris.task import Task
 
 FloatArray = NDArray[np.floating]
@@ -67,7 +68,7 @@ def planner(seed: int) -> Policy:
 
     They are the best for users decoded in the order of the slot's gains, and may not be with a static order.
     """
-    rng = np.random.default_rng(seed)
+    rng = generator(seed, Purpose.SEARCH)
 
     def controls(task: Task) -> Controls:
         config, simulator = task.config, task.simulator

@@ -107,7 +107,7 @@ def main() -> None:
         column.justify = "right"
     for name in ("paper", "office"):
         config = preset(name)
-        agent = build_agent(config, OfficeEnv(config), np.random.default_rng(config.seed))
+        agent = build_agent(config, OfficeEnv(config), np.random.default_rng())
         paper, torch_ = paper_operations(agent, config), measured_flops(agent)
         run = [f"{count:.3g}" for count in (paper.cell, paper.averaging, paper.total)]
         table.add_row(name, "actor, 1 sample", f"{paper.actor:,}", f"{torch_.actor:,}", *run)

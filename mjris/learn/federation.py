@@ -13,6 +13,7 @@ from stable_baselines3.common.logger import Logger, configure
 
 from mjris.config import Config
 from mjris.learn.agent import build_agent
+from mjris.streams import Purpose, generator, word
 
 P = TypeVar("P")
 R = TypeVar("R")
@@ -22,9 +23,6 @@ State = Mapping[str, torch.Tensor]
 
 EnvFactory = Callable[[Config, int], gym.Env]
 """Builds the environment of a cell from the config and the cell's number."""
-
-# Purposes of the random streams that follow from the run's seed.
-_AGENT, _LEARN, _ENV = range(3)
 
 
 def average(state_dicts: Sequence[State]) -> dict[str, torch.Tensor]:
@@ -247,12 +245,12 @@ def episodes_of(config: Config, round_: int) -> range:
 
 def agent_generator(config: Config, cell: int) -> np.random.Generator:
     """What a cell's agent draws its first weights and its exploration noise from."""
-    return np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(_AGENT, cell)))
+    return generator(config.named_seed, Purpose.AGENT, cell)
 
 
 def learning_seed(config: Config, cell: int, round_: int) -> int:
     """Seed of a cell's minibatches and warm-up actions in a round."""
-    return _word(config, _LEARN, cell, round_)
+    return word(config.named_seed, Purpose.LEARNING, cell, round_)
 
 
 def environment_seed(config: Config, round_: int) -> int:
@@ -260,9 +258,4 @@ def environment_seed(config: Config, round_: int) -> int:
 
     The same for every cell: what cells share (fading) must stay shared, and each adds its own number to it.
     """
-    return _word(config, _ENV, round_)
-
-
-def _word(config: Config, *key: int) -> int:
-    """A 32-bit seed for generators that take no sequence."""
-    return int(np.random.SeedSequence(config.seed, spawn_key=key).generate_state(1)[0])
+    return word(config.named_seed, Purpose.EPISODES, round_)

@@ -37,7 +37,7 @@ def load_policy(run_dir: Path, cell: int = 0, *, round_: int | None = None, make
     if last is None:
         of_round = "" if round_ is None else f" of round {round_}"
         raise ConfigError(f"run folder: {run_dir} has no checkpoint of cell {cell}{of_round}")
-    agent = build_agent(config, make_env(config, cell), np.random.default_rng(config.seed))
+    agent = build_agent(config, make_env(config, cell), np.random.default_rng())
     try:
         agent.set_parameters(str(last), device="cpu")
     except (ValueError, RuntimeError, BadZipFile):
@@ -62,7 +62,7 @@ def export_policy(run_dir: Path, out: Path, cell: int = 0, *, make_env: EnvFacto
 
 
 def _exported(folder: Path, config: Config, env: Env) -> DDPG:
-    agent = build_agent(config, env, np.random.default_rng(config.seed))
+    agent = build_agent(config, env, np.random.default_rng())
     try:
         agent.actor.load_state_dict(load_file(folder / ACTOR))
     except (SafetensorError, RuntimeError):

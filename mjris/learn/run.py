@@ -13,6 +13,7 @@ from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, n
 from mjris.learn.spread import CORES, open_runs
 from mjris.learn.stacked import Results
 from mjris.learn.workers import check_device, open_cells
+from mjris.streams import seeded
 
 Report = Callable[[list[EpisodeMetrics]], None]
 """Is called after every round with the metrics of its episodes."""
@@ -29,10 +30,11 @@ def train(
 
     The folder gets config.json first and, after every round, the episodes' rows in metrics.csv and
     checkpoints/round_NNNN/cell_U.zip, which hold the averaged agents where there is averaging; tensorboard/cell_U
-    follows while training. Stacked agents learn on `device`, "cpu" or "cuda". Raises `ConfigError` where `out` exists
-    and is not an empty folder, or `device` cannot be used.
+    follows while training. A config without a seed gets a fresh one. Stacked agents learn on `device`, "cpu" or "cuda".
+    Raises `ConfigError` where `out` exists and is not an empty folder, or `device` cannot be used.
     """
     _check_new(out)
+    config = seeded(config)
     # What is wrong with the layout or the task shows here, before anything is written.
     make_env(config, 0).close()
     check_device(config, make_env, device)
@@ -58,6 +60,7 @@ def train_many(
     `report` gets the episodes of all runs; no more than `cores` are used. Raises `ConfigError` also where the configs
     differ in what a stack must have in common, see `StackedRuns`.
     """
+    configs = [seeded(config) for config in configs]
     if len(set(outs)) < len(configs):
         raise ConfigError(f"out: {len(configs)} runs need a folder each")
     for out in outs:

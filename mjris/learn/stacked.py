@@ -236,7 +236,7 @@ def _alike(configs: Sequence[Config], members: Sequence[Member]) -> list[list[Me
 def _side_by_side(cells: Sequence[tuple[Config, int]], make_env: EnvFactory) -> OfficeVecEnv | _SingleEnvs:
     """Cells of like configs, each with its number: stepped together where they are offices."""
     if make_env is OfficeEnv:
-        return OfficeVecEnv([CellId(config.seed, u) for config, u in cells], cells[0][0])
+        return OfficeVecEnv([CellId(config.named_seed, u) for config, u in cells], cells[0][0])
     return _SingleEnvs([partial(make_env, config, u) for config, u in cells])
 
 

@@ -27,7 +27,11 @@ _GLANCE_S = 0.5
 
 
 def run_folder(config: Config, folder: Path) -> Path:
-    """Where the run of a config is kept: under the first 12 digits of the hash of its JSON."""
+    """Where the run of a config is kept: under the first 12 digits of the hash of its JSON.
+
+    Raises `ConfigError` for a config without a seed, whose run could not be found again.
+    """
+    config.named_seed  # noqa: B018 - raises
     return folder / hashlib.sha256(config.to_json().encode()).hexdigest()[:12]
 
 

@@ -61,16 +61,11 @@ def motion_field(config: Config, act: Act, seed: int) -> MotionField:
         radio=replace(config.radio, difference_factor=1.0),
         task=replace(config.task, **policy.changes),
     )
-    cell = CellId(still.seed, 0)
+    cell = CellId(seed, 0)
     alone = Simulator(still, [cell])
-    alone.seed(seed)
-    alone.reset()
     places = reachable_places(alone.world)
     task = Task(still, [cell] * len(places))
     simulator, world = task.simulator, task.simulator.world
-    simulator.seed(seed)
-    # Not the task's reset, which would plan from where the rovers start.
-    simulator.reset()
     world.fleet.place(np.arange(len(places)), places, world.fleet.heading)
     simulator.look()
     move_m = policy.controls(task).displacement_m

@@ -80,6 +80,4 @@ def drive(config: Config, run: Path, scene: int, slots: int) -> tuple[Rollout, T
 def _scenes(config: Config, numbers: Sequence[int]) -> Task:
     """Scenes that agents are judged on, as `eval.evaluate.play` begins them."""
     radio = replace(config.radio, difference_factor=1.0)
-    task = Task(replace(config, radio=radio), [CellId(config.seed, number) for number in numbers])
-    task.reset(SCENE_SEED)
-    return task
+    return Task(replace(config, radio=radio), [CellId(SCENE_SEED, number) for number in numbers])
