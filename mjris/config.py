@@ -52,6 +52,10 @@ class World:
     """Each cell's furniture stands up to this far from the layout's places [m]."""
     drive: Literal["wheels", "kinematic"] = "wheels"
     """wheels: motors and friction; kinematic: straight lines at the same speed and with the same bumper."""
+    start_m: tuple[float, float] | None = None
+    """Where the rover starts, x and y [m]; the layout's place by default."""
+    start_heading_deg: float | None = None
+    """Where it faces then, counter-clockwise from +x [°]; anywhere by default."""
     num_users: Count = 4
     """K, people who carry a receiver."""
     slot_s: Positive = 1.0

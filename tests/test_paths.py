@@ -24,7 +24,7 @@ def solid(*offices: list[tuple[float, float, float, float]]) -> Footprints:
 
 
 def paths(*offices: list[tuple[float, float, float, float]]) -> Paths:
-    return Paths(solid(*offices), (8, 6), (1, 1), KEEP_M)
+    return Paths(solid(*offices), (8, 6), np.array([1.0, 1.0]), KEEP_M)
 
 
 def dijkstra(made: Paths, source: int) -> np.ndarray:
@@ -123,7 +123,7 @@ def test_every_office_has_ways_of_its_own():
 
 def test_no_floor_left():
     with pytest.raises(ConfigError, match="keep_m"):
-        Paths(solid(WALLS), (8, 6), (1, 1), 3.5)
+        Paths(solid(WALLS), (8, 6), np.array([1.0, 1.0]), 3.5)
 
 
 def driven(name: str, drive: str, cells: int, tight: bool, jitter: float = 0.0) -> tuple[World, np.ndarray, np.ndarray]:

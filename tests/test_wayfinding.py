@@ -16,7 +16,7 @@ def paths(*rectangles: tuple[float, float, float, float]) -> Paths:
     """A room of 8 m × 6 m with upright rectangles (x, y, half width, half depth)."""
     x, y, a, b = np.array([*WALLS, *rectangles], float).T
     solid = Footprints(*(np.array(pair)[:, None] for pair in ((x, y), (a, b), (np.ones_like(x), np.zeros_like(x)))))
-    return Paths(solid, (8, 6), (1, 1), KEEP_M)
+    return Paths(solid, (8, 6), np.array([1.0, 1.0]), KEEP_M)
 
 
 def test_the_way_over_nodes_is_as_long_as_the_shortest_one():

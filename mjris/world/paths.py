@@ -32,10 +32,10 @@ class Paths:
     large batches with furniture of their own: 4 n² bytes a cell.
     """
 
-    def __init__(self, solid: Footprints, room_m: tuple[float, float], start: tuple[float, float], keep_m: float):
+    def __init__(self, solid: Footprints, room_m: tuple[float, float], start: FloatArray, keep_m: float):
         """The grid goes through `start` [m]. Raises `ConfigError` if no place is `keep_m` [m] from everything."""
         self.keep_m = keep_m
-        places, neighbours = _grid(np.array(room_m), np.array(start))
+        places, neighbours = _grid(np.array(room_m), start)
         length = _edge_lengths(solid, places, neighbours, keep_m + _SLACK_M)
         reached = _connected(length, neighbours, np.linalg.norm(places - start, axis=-1))
         if not reached.any(-1).all():

@@ -50,6 +50,8 @@ class World:
         self.batch = Batch(office.model, self.num_cells, nthread=1 if config.world.drive == "kinematic" else 0)
         if jitter > 0:
             self.batch.set_models([each.model for each in self.offices])
+        self.start = np.array(layout.start if config.world.start_m is None else config.world.start_m)
+        """Where rovers start [2] [m]."""
         self.hull_radius_m = hull_radius(config)
         self._hull_solid = footprints(self.offices, HULL_FLOOR_GAP_M, hull_height(config))
         self._body_solid = footprints(self.offices, 0.0, PERSON_HEIGHT_M)
@@ -72,10 +74,12 @@ class World:
         return _raised(self.crowd.xy, self.config.user_height_m)
 
     def place(self, cells: IntArray, generators: list[np.random.Generator]) -> None:
-        """Put rovers of `cells` [n] at the start, facing anywhere, and people anywhere free."""
-        start = np.array([self.office(int(e)).layout.start for e in cells])
+        """Put rovers of `cells` [n] at the start, facing anywhere unless told, and people anywhere free."""
+        # Drawn even where it is told, so that people stand alike.
         heading = np.array([rng.uniform(-np.pi, np.pi) for rng in generators])
-        self.fleet.place(cells, start, heading)
+        if self.config.start_heading_deg is not None:
+            heading[:] = np.radians(self.config.start_heading_deg)
+        self.fleet.place(cells, np.broadcast_to(self.start, (len(cells), 2)), heading)
         places = [self._free_places(int(e), rng) for e, rng in zip(cells, generators, strict=True)]
         self.crowd.place(cells, np.stack(places))
 
@@ -110,15 +114,17 @@ class World:
         """Shortest ways for the rovers, worked out when first asked for."""
         layout = self.office(0).layout
         keep_m = self.hull_radius_m + self.config.bumper_m + _WAY_MARGIN_M
-        return Paths(self._hull_solid, layout.room.size[:2], layout.start, keep_m)
+        return Paths(self._hull_solid, layout.room.size[:2], self.start, keep_m)
 
     @cached_property
     def sight_map(self) -> SightMap:
         """Furniture between the users' and the panel's height, and to the AP; people do not count."""
         layout = self.office(0).layout
         ap = np.stack([office.ap_position for office in self.offices])
-        room, start = np.array(layout.room.size[:2]), np.array(layout.start)
-        return SightMap(Sight(self.offices), room, start, ap, self.config.user_height_m, self.config.panel_height_m)
+        room = np.array(layout.room.size[:2])
+        return SightMap(
+            Sight(self.offices), room, self.start, ap, self.config.user_height_m, self.config.panel_height_m
+        )
 
     def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
         """Random places [K, 2] [m] with clearance from everything."""
@@ -127,7 +133,7 @@ class World:
         solid = self._body_solid.of(np.array([cell]))
         chosen: list[FloatArray] = []
         gaps = [self.hull_radius_m + PERSON_RADIUS_M + self.config.clearance_m]
-        taken = [np.array(office.layout.start)]
+        taken = [self.start]
         for _ in range(_PLACING_TRIES):
             place = rng.uniform(low, high)
             if solid.distance(place[None, None])[0, 0] < PERSON_RADIUS_M + self.config.clearance_m:
