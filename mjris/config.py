@@ -128,6 +128,9 @@ class Radio:
     """DF: diffuse fading is the same in every cell at 0, independent at 1."""
     scheme: Literal["noma", "oma"] = "noma"
     """Multiple access."""
+    oma_selection: bool = False
+    """Whether the scheduler of OMA may select users: where not all have QoS and that gives more, a cluster's bands and
+    power go to its strongest user, as with NOMA its power does."""
     num_clusters: Count = 2
     """V, clusters of users."""
     decoding_order: Literal["dynamic", "static"] = "dynamic"
@@ -161,6 +164,12 @@ class Task:
 
     slots: Count = 100
     """Slots of an episode."""
+    end: Literal["terminal", "time_limit"] = "terminal"
+    """What the last slot is: terminal: nothing comes after it, and the share of slots that are left is observed;
+    time_limit: things would go on, so that what is observed at last has the value of what would follow."""
+    phase_updates_per_slot: Annotated[int, Field(ge=0)] = 0
+    """How often in a slot phases and powers are set anew, to be held in between while things move; the slot's rates are
+    means over its ticks. 0: as often as it takes, so that a slot's rates are those at its start."""
     ris: Literal["mobile", "fixed", "none"] = "mobile"
     """mobile: the agent drives; fixed: the rover stays where it starts; none: no RIS at all."""
     phases: Literal["learned", "random"] = "learned"
@@ -201,7 +210,7 @@ class Agent:
     batch_size: Annotated[int, Field(ge=2)] = 64
     """e, transitions in a minibatch."""
     discount: Annotated[float, Field(ge=0, le=1)] = 1.0
-    """γ; the paper's 1 is allowed."""
+    """γ; the paper's 1 needs episodes that end, see task.end."""
     target_rate: Annotated[float, Field(gt=0, le=1)] = 0.002
     """τ, target update rate."""
     noise_scale: NonNegative = 0.4
@@ -259,6 +268,17 @@ class Config:
                 f"radio.num_clusters: {self.radio.num_clusters} is not allowed: zero forcing needs an antenna "
                 f"for each, and radio.num_antennas is {self.radio.num_antennas}"
             )
+        if self.agent.discount == 1 and self.task.end == "time_limit":
+            raise ValueError(
+                "agent.discount: 1.0 is not allowed: with task.end time_limit the value of every last observation is "
+                "added to that of the slots before, and at 1 this has no end; it must be less, or task.end terminal"
+            )
+        updates, ticks = self.task.phase_updates_per_slot, self.world.ticks_per_slot
+        if updates and ticks % updates:
+            raise ValueError(
+                f"task.phase_updates_per_slot: {updates} is not allowed: "
+                f"it must divide world.ticks_per_slot, which is {ticks}"
+            )
         return self
 
     @property
@@ -295,7 +315,7 @@ def describe(error: ValidationError, section: str = "") -> str:
     first = error.errors()[0]
     field = ".".join(str(part) for part in ((section,) if section not in ("", "config") else ()) + first["loc"])
     message = first["msg"].removeprefix("Value error, ")
-    if message.startswith(("world.", "radio.")):
+    if message.startswith(("world.", "radio.", "task.", "agent.")):
         return message
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{field} is not a known field"
@@ -330,7 +350,14 @@ _PAPER = Config(radio=Radio(element_pattern="isotropic"))
 
 _OFFICE = Config(
     world=World(drive="kinematic"),
-    task=Task(motion="goal", phase_control="weights", power_reference="qos", observation="map", reward="gain"),
+    task=Task(
+        end="time_limit",
+        motion="goal",
+        phase_control="weights",
+        power_reference="qos",
+        observation="map",
+        reward="gain",
+    ),
     agent=Agent(network="mlp", batch_size=128, discount=0.9, target_rate=0.005, noise_scale=0.3, caution=1.0),
     federation=Federation(episodes=100, round_episodes=10),
 )

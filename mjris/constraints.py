@@ -23,7 +23,8 @@ class Constraints(NamedTuple):
     in_room: BoolArray
     """(OPPD): the rover stands in its room with the whole of its hull."""
     power: BoolArray
-    """(OPPE): no cluster has more power than its share; with OMA a single user counts as a cluster."""
+    """(OPPE): no cluster has more power than its share; with OMA a single user counts as a cluster, unless the
+    scheduler selects users."""
     decoding_order: BoolArray
     """(OPPB): users are decoded by ascending effective gain; with OMA nobody decodes the signals of others."""
     qos: BoolArray
@@ -60,10 +61,15 @@ def within_budget(powers_w: FloatArray, clusters: IntArray, scheme: str, tx_powe
     return np.all(powers_w >= 0, axis=-1) & np.all(groups.sum(-1) <= most, axis=-1)
 
 
-def ascending(gains: FloatArray, order: IntArray) -> BoolArray:
-    """Whether the effective gains [E, K] of every cluster's users rise in the decoding order [E, V, K/V], [E]."""
+def ascending(gains: FloatArray, powers_w: FloatArray, order: IntArray) -> BoolArray:
+    """Whether the effective gains [E, K] of every cluster's users rise in the decoding order [E, V, K/V], [E].
+
+    Of users with power [E, K] [W]: others decode nothing, and nothing of theirs is decoded.
+    """
     decoded = np.take_along_axis(gains[:, None], order, axis=-1)
-    return np.all(np.diff(decoded) >= 0, axis=(-2, -1))
+    powered = np.take_along_axis(powers_w[:, None] > 0, order, axis=-1)
+    before = np.maximum.accumulate(np.where(powered, decoded, -np.inf), axis=-1)
+    return np.all((decoded >= before) | ~powered, axis=(-2, -1))
 
 
 def evaluate(
@@ -90,8 +96,9 @@ def evaluate(
     ordered = np.ones(len(rates_bps), np.bool_)
     if order is not None:
         cluster_w = powers_w[:, clusters].sum(-1)
-        ordered = ascending(access.effective_gains(effective, cluster_w, clusters, radio.noise_w), order)
-    groups = clusters.reshape(-1, 1) if radio.scheme == "oma" else clusters
+        ordered = ascending(access.effective_gains(effective, cluster_w, clusters, radio.noise_w), powers_w, order)
+    # A scheduler that selects users may give one all that its cluster has.
+    groups = clusters.reshape(-1, 1) if radio.scheme == "oma" and not radio.oma_selection else clusters
     most_w = radio.tx_power_w / len(groups) * (1 + _ROUNDING)
     in_room, power, qos = _kept(
         rover_xy, hull_radius_m, room_m, powers_w, groups, most_w, rates_bps, config.task.qos_bps

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
+from mjris.checks import checked
 from mjris.config import Config, ConfigError, preset
 from mjris.parallel import SpreadTask, info_columns, infos_of
 from mjris.streams import CellId, first_cells, seeded
@@ -16,7 +17,7 @@ from mjris.task import Task
 
 
 class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
-    """One cell; an episode is `task.slots` slots and ends by truncation.
+    """One cell; an episode is `task.slots` slots and ends as `task.end` says: by termination or by truncation.
 
     All randomness follows from the seed of `reset` (at first from the config's, or a fresh one) and the cell's number:
     cells with the same seed share what cells share, and differ in the rest.
@@ -39,15 +40,15 @@ class OfficeEnv(gym.Env[NDArray[Any], NDArray[Any]]):
         return self.task.reset(seed)[0], {}
 
     def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
-        """Play one slot with an action [A]."""
-        outcome = self.task.step(np.asarray(action)[None])
+        """Play one slot with an action [A]. Raises `ValueError` for any other shape and for numbers not finite."""
+        outcome = self.task.step(checked("action", action, (self.task.action_size,))[None])
         self._slot += 1
-        truncated = self._slot >= self.config.task.slots
+        over, terminal = self._slot >= self.config.task.slots, self.config.task.end == "terminal"
         return (
             outcome.observation[0],
             float(outcome.reward[0]),
-            False,
-            truncated,
+            over and terminal,
+            over and not terminal,
             infos_of(info_columns(outcome.slot))[0],
         )
 
@@ -89,12 +90,12 @@ class OfficeVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Take the actions [E, A] of the next slot."""
-        self._actions = np.asarray(actions)
+        """Take the actions [E, A] of the next slot. Raises `ValueError` for other shapes and numbers not finite."""
+        self._actions = checked("action", actions, (self.num_envs, self._task.action_size))
 
     def step_wait(self) -> VecEnvStepReturn:
         """Play one slot; all cells end their episodes together, and begin the next at once."""
-        parts = self._task.step(np.asarray(self._actions, np.float64))
+        parts = self._task.step(self._actions)
         self._slot += 1
         done = self._slot >= self.config.task.slots
         infos = [info for part in parts for info in infos_of(part.columns)]
@@ -103,7 +104,7 @@ class OfficeVecEnv(VecEnv):
         if done:
             for info, last in zip(infos, observation, strict=True):
                 info["terminal_observation"] = last
-                info["TimeLimit.truncated"] = True
+                info["TimeLimit.truncated"] = self.config.task.end == "time_limit"
             observation = self.reset()
         return observation, reward.astype(np.float32), np.full(self.num_envs, done), infos
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mjris.board import Board
 from mjris.config import Config
 from mjris.constraints import Constraints
-from mjris.simulator import Slot
+from mjris.scene import Slot
 from mjris.streams import CellId
 from mjris.task import Task
 
@@ -25,6 +25,7 @@ class Columns(NamedTuple):
     """What infos show of a slot, with an entry for every cell."""
 
     rates_bps: NDArray[np.floating]
+    bare_sum_rate_bps: NDArray[np.floating]
     qos_met: NDArray[np.bool_]
     blockers: NDArray[np.int64]
     clearance_m: NDArray[np.floating]
@@ -55,16 +56,24 @@ class Part(NamedTuple):
 
 def info_columns(slot: Slot) -> Columns:
     """What infos show of a slot."""
-    shown = slot.rates_bps, slot.qos_met, slot.scene.blockers, slot.clearance_m, slot.collisions, slot.constraints
-    return Columns(*shown)
+    return Columns(
+        rates_bps=slot.rates_bps,
+        bare_sum_rate_bps=slot.bare_rates_bps.sum(-1),
+        qos_met=slot.qos_met,
+        blockers=slot.scene.blockers,
+        clearance_m=slot.clearance_m,
+        collisions=slot.collisions,
+        constraints=slot.constraints,
+    )
 
 
 def infos_of(columns: Columns) -> list[dict[str, Any]]:
     """The info of every cell."""
-    rates, met, blockers, clearance, collisions, constraints = columns
+    rates, bare, met, blockers, clearance, collisions, constraints = columns
     cells = zip(
         rates,
         rates.sum(-1).tolist(),
+        bare.tolist(),
         met,
         blockers,
         clearance.tolist(),
@@ -77,13 +86,14 @@ def infos_of(columns: Columns) -> list[dict[str, Any]]:
         {
             "rates_bps": rates,
             "sum_rate_bps": total,
+            "bare_sum_rate_bps": without,
             "qos_met": met,
             "blockers": blockers,
             "clearance_m": clearance,
             "collisions": collisions,
             "constraints": constraints,
         }
-        for rates, total, met, blockers, clearance, collisions, constraints in cells
+        for rates, total, without, met, blockers, clearance, collisions, constraints in cells
     ]
 
 

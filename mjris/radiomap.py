@@ -37,15 +37,15 @@ class _Floor(NamedTuple):
 
 def _floor(simulator: Simulator) -> _Floor:
     """What predictions for the present scene follow from."""
-    config, world = simulator.config, simulator.world
-    receivers = world.receivers()
+    config, world, users_xy = simulator.config, simulator.world, simulator.scene.users_xy
+    receivers = np.insert(users_xy, 2, world.config.user_height_m, -1)
     return _Floor(
         simulator.medium,
         simulator.system,
         prediction.Arrays.of(config.radio),
         world.sight_map.grid,
         np.concatenate([receivers, simulator.ap_position[:, None]], 1),
-        world.sight_map.blockers(world.crowd.xy),
+        world.sight_map.blockers(users_xy),
         _direct_gains(simulator),
         world.config.panel_height_m,
         config.task.qos_penalty,
@@ -83,7 +83,7 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
     are; the horizon is short because they do not.
     """
     world, paths = simulator.world, simulator.world.paths
-    here = world.fleet.xy
+    here = simulator.scene.rover_xy
     horizon_m = horizon_slots * world.config.max_speed_mps * world.config.slot_s
     way_m = paths.distance_to_nodes(here)
     # Only what can be reached by then is valued.

@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.checks import checked
 from mjris.compiled import compiled
 from mjris.config import Config
-from mjris.constraints import Constraints, evaluate
+from mjris.constraints import evaluate
 from mjris.radio import access, alignment, channel, links, propagation, serving
+from mjris.scene import Retune, Scene, Slot
 from mjris.streams import CellId, Streams, first_cells
 from mjris.world.layout import load_layout
 from mjris.world.world import World
@@ -21,57 +22,16 @@ ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Scene:
-    """What a slot begins with, in E cells with K users; links are AP–users, RIS–users, AP–RIS."""
-
-    rover_xy: FloatArray
-    """[E, 2] [m]"""
-    rover_heading: FloatArray
-    """[E] [rad]"""
-    panel_heading: FloatArray
-    """[E] [rad]"""
-    users_xy: FloatArray
-    """[E, K, 2] [m]"""
-    blockers: IntArray
-    """Obstacles on every link [E, 2K + 1]."""
-    path_loss_db: FloatArray
-    """Of every link [E, 2K + 1] [dB]."""
-    channels: channel.Channels
-    """h_d [E, K, M], G [E, N, M], h_r [E, K, N]."""
-
-
-class Controls(NamedTuple):
-    """What is decided in a slot, in E cells."""
-
-    displacement_m: FloatArray
-    """[E, 2] [m]"""
-    phases_rad: FloatArray
-    """[E, N] [rad]"""
-    powers_w: FloatArray
-    """[E, K] [W]"""
-    pan_rad: FloatArray | None = None
-    """By how much panels are turned from the bisector of AP and users [E] [rad]; None is not at all."""
-
-
-@dataclass(frozen=True)
-class Slot:
-    """What a slot gave, and the scene that the next one begins with."""
+class _Sent(NamedTuple):
+    """What a slot's transmission was and gave."""
 
     rates_bps: FloatArray
-    """[E, K] [bit/s]"""
-    qos_met: NDArray[np.bool_]
-    """[E, K]"""
-    bare_rates_bps: FloatArray | None
-    """What the same slot gives without RIS under the reference powers [E, K] [bit/s], where the "gain" reward asks."""
-    displacement_m: FloatArray
-    """How far each rover got [E, 2] [m]."""
-    clearance_m: FloatArray
-    """Smallest distance between the hull and anything in the slot [E] [m]."""
-    collisions: IntArray
-    """Penetrating contacts seen in the slot [E]."""
-    constraints: Constraints
-    scene: Scene
+    bare_rates_bps: FloatArray
+    effective: ComplexArray
+    """As the slot began."""
+    order: IntArray | None
+    """The one that was fixed before."""
+    directs: tuple[ComplexArray, ...]
 
 
 class Simulator:
@@ -103,10 +63,10 @@ class Simulator:
         self._own_person = np.array([*range(k), *range(k), -1])
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
         """Of h_d, G and h_r, [E, K M + N M + K N]."""
-        self._order = np.zeros((num_cells, *self.clusters.shape), np.int64)
-        self._fresh = np.ones(num_cells, np.bool_)
-        self.resets, self.slots = 0, 0
-        """How often cells began an episode, and the slots since."""
+        self.order = self.system.no_order(num_cells)
+        """The decoding order that is fixed for the episode [E, V, K/V], negative where it is that of the gains."""
+        self.slots = np.zeros(num_cells, np.int64)
+        """Slots of the episode that are over [E]."""
         self.scene: Scene
         self.reset()
 
@@ -121,8 +81,8 @@ class Simulator:
             self._streams.part(cells)
         self.world.place(cells, self._streams.own(cells))
         self._diffuse[cells] = self._draw_diffuse(cells)
-        self._fresh[cells] = True
-        self.resets, self.slots = self.resets + 1, 0
+        self.order[cells] = -1
+        self.slots[cells] = 0
         return self.look()
 
     def random_phases(self) -> FloatArray:
@@ -135,27 +95,42 @@ class Simulator:
         phases_rad: FloatArray,
         powers_w: FloatArray,
         pan_rad: FloatArray | None = None,
+        retune: Retune | None = None,
     ) -> Slot:
-        """Transmit over the present channel, then move and turn the panels: see `Controls`."""
-        effective = self.effective_channel(phases_rad)
-        order = self._decoding_order(effective, powers_w)
-        rates = self.rates(effective, powers_w, order)
-        bare = None
-        if self.config.task.reward == "gain":
-            _, bare = self.reference_powers(self.scene.channels.direct)
-        before = self.world.fleet.xy
-        steps = self._streams.steps(self.config.world.num_users, self.config.world.walk_scale_m)
-        motion = self.world.move(displacement_m, *steps)
-        self._face_panels(pan_rad)
+        """Transmit over the present channel, then move and turn the panels: see `Controls`.
+
+        With phases that are held, transmission goes on while things move. Raises `ValueError` for arrays of other
+        shapes and for numbers that are not finite.
+        """
+        cells, users, elements = self.num_cells, self.config.world.num_users, self.config.radio.num_elements
+        displacement_m = checked("displacement_m", displacement_m, (cells, 2))
+        phases_rad = checked("phases_rad", phases_rad, (cells, elements))
+        powers_w = checked("powers_w", powers_w, (cells, users))
+        if pan_rad is not None:
+            pan_rad = checked("pan_rad", pan_rad, (cells,))
+        fresh = None
         if self.config.radio.fading_memory < 1:
-            fresh = self._draw_diffuse(np.arange(self.num_cells))
+            fresh = self._draw_diffuse(np.arange(cells))
+        before, parts = self.world.fleet.xy, [self.scene]
+
+        def on_tick() -> None:
+            share = len(parts) / self.config.world.ticks_per_slot
+            parts.append(self._observe(self._diffuse if fresh is None else self._between(fresh, share)))
+
+        steps = self._streams.steps(users, self.config.world.walk_scale_m)
+        motion = self.world.move(displacement_m, *steps, on_tick if self.config.task.phase_updates_per_slot else None)
+        sent = self._transmit(parts, phases_rad, powers_w, retune)
+        self._face_panels(pan_rad)
+        if fresh is not None:
             self._diffuse = propagation.evolve(self._diffuse, fresh, self.config.radio.fading_memory)
-        self.scene = self._observe()
+        self.scene = self._observe(self._diffuse)
         self.slots += 1
         return Slot(
-            rates_bps=rates,
-            qos_met=rates >= self.config.task.qos_bps,
-            bare_rates_bps=bare,
+            rates_bps=sent.rates_bps,
+            qos_met=sent.rates_bps >= self.config.task.qos_bps,
+            bare_rates_bps=sent.bare_rates_bps,
+            powers_w=powers_w,
+            directs=sent.directs,
             displacement_m=self.world.fleet.xy - before,
             clearance_m=motion.clearance_m,
             collisions=motion.collisions,
@@ -165,52 +140,84 @@ class Simulator:
                 rover_xy=self.scene.rover_xy,
                 hull_radius_m=self.world.hull_radius_m,
                 room_m=self.room_m,
-                effective=effective,
+                effective=sent.effective,
                 powers_w=powers_w,
-                order=order,
-                rates_bps=rates,
+                order=sent.order,
+                rates_bps=sent.rates_bps,
                 collisions=motion.collisions,
             ),
             scene=self.scene,
         )
 
-    def effective_channel(self, phases_rad: FloatArray) -> ComplexArray:
-        """H of the present scene for phases [E, N] [rad], without the RIS where the task has none: [E, K, M]."""
+    def _transmit(
+        self, parts: Sequence[Scene], phases_rad: FloatArray, powers_w: FloatArray, retune: Retune | None
+    ) -> "_Sent":
+        """What is sent in the parts of a slot, which are its ticks' beginnings, or its beginning alone."""
+        updates, ticks = self.config.task.phase_updates_per_slot, self.config.world.ticks_per_slot
+        # The last scene is that of the next slot's beginning.
+        parts = parts[:ticks] if updates else parts
+        first = self.effective_channel(phases_rad)
+        order = self._fix_order(first, powers_w)
+        rates, bare_rates = np.zeros(powers_w.shape), np.zeros(powers_w.shape)
+        bare_powers, _ = self.reference_powers(parts[0].channels.direct)
+        for tick, part in enumerate(parts):
+            if updates and tick and tick % (ticks // updates) == 0:
+                bare_powers, _ = self.reference_powers(part.channels.direct)
+                if retune is not None:
+                    phases_rad, powers_w = retune(part.channels)
+            effective = first if tick == 0 else self.effective_channel(phases_rad, part.channels)
+            rates += self.rates(effective, powers_w, self.order) / len(parts)
+            bare_rates += self.rates(part.channels.direct, bare_powers) / len(parts)
+        return _Sent(rates, bare_rates, first, order, tuple(part.channels.direct for part in parts))
+
+    def _between(self, fresh: ComplexArray, share: float) -> ComplexArray:
+        """Diffuse fading when a share of the slot is over, on the arc to that of the next slot; its power stays one."""
+        return propagation.evolve(self._diffuse, fresh, math.cos(share * math.acos(self.config.radio.fading_memory)))
+
+    def effective_channel(self, phases_rad: FloatArray, channels: channel.Channels | None = None) -> ComplexArray:
+        """H [E, K, M] for phases [E, N] [rad], without the RIS where the task has none; by default of the scene."""
+        channels = channels or self.scene.channels
         if self.config.task.ris == "none":
-            return self.scene.channels.direct
+            return channels.direct
         response = channel.ris_response(phases_rad, self.config.radio.element_amplitude)
-        return channel.effective_channel(self.scene.channels, response)
+        return channel.effective_channel(channels, response)
 
     def rates(self, effective: ComplexArray, powers_w: FloatArray, order: IntArray | None = None) -> FloatArray:
         """Rates [..., K] [bit/s] for effective channels [..., K, M] and powers [..., K] [W]."""
         return serving.rates(self.system, effective, powers_w, order)
 
     def reference_powers(
-        self, effective: ComplexArray, wanted_bps: FloatArray | None = None
+        self, effective: ComplexArray, wanted_bps: FloatArray | None = None, order: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `serving.qos_or_sum`."""
-        return serving.qos_or_sum(self.system, effective, wanted_bps)
+        return serving.qos_or_sum(self.system, effective, wanted_bps, order)
 
     def split_powers(self, shares: FloatArray) -> FloatArray:
         """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `control.split_powers`."""
-        return serving.split_powers(self.system, shares)
+        return serving.split_powers(self.system, checked("shares", shares, (self.num_cells, self.clusters.size)))
 
-    def reference_phases(self, weights: FloatArray | None = None) -> FloatArray:
-        """Closed-form phases [E, N] [rad] for the present scene and user weights [E, K]: `qos_aligned_phases`."""
-        channels = self.scene.channels
+    def reference_phases(
+        self, weights: FloatArray | None = None, channels: channel.Channels | None = None
+    ) -> FloatArray:
+        """Closed-form phases [E, N] [rad] for user weights [E, K]: `qos_aligned_phases` in the cells' decoding order.
+
+        For the present scene's channels by default.
+        """
+        if weights is not None:
+            weights = checked("weights", weights, (self.num_cells, self.clusters.size))
+        channels = channels or self.scene.channels
         channels = channels._replace(reflected=self.config.radio.element_amplitude * channels.reflected)
-        return alignment.qos_aligned_phases(self.system, channels, weights)
+        return alignment.qos_aligned_phases(self.system, channels, weights, self.order)
 
-    def _decoding_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
-        """None for the order of every slot; with the static order, that of the episode's first slot."""
+    def _fix_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
+        """The static order, which is fixed in the episode's first slot; None where every slot has its own."""
         radio = self.config.radio
         if radio.decoding_order == "dynamic" or radio.scheme == "oma":
             return None
-        if self._fresh.any():
-            now = access.decoding_order(effective, powers_w, self.clusters, radio.noise_w)
-            self._order[self._fresh] = now[self._fresh]
-            self._fresh[:] = False
-        return self._order
+        fresh = self.order[:, 0, 0] < 0
+        if fresh.any():
+            self.order[fresh] = access.decoding_order(effective, powers_w, self.clusters, radio.noise_w)[fresh]
+        return self.order
 
     def bisector(self, places: FloatArray) -> FloatArray:
         """Where panels at `places` [E, 2] [m] should face: between the AP and the users' middle, [E] [rad]."""
@@ -224,11 +231,11 @@ class Simulator:
     def look(self) -> Scene:
         """See the scene anew after rovers or people were placed by hand, the panels turned to their bisectors."""
         self._face_panels()
-        self.scene = self._observe()
+        self.scene = self._observe(self._diffuse)
         return self.scene
 
-    def _observe(self) -> Scene:
-        """Sight, path losses and channels at the present positions."""
+    def _observe(self, diffuse: ComplexArray) -> Scene:
+        """Sight, path losses and channels at the present positions, with this diffuse fading."""
         radio, world = self.config.radio, self.world
         panel, receivers, heading = world.panel_centre(), world.receivers(), world.fleet.panel_heading
         start, end = links.ends(self.ap_position, panel, receivers)
@@ -242,7 +249,7 @@ class Simulator:
             users_xy=receivers[..., :2],
             blockers=blockers,
             path_loss_db=mean.loss_db,
-            channels=links.channels(self._antennas, receivers, elements, mean, self._diffuse, radio.wavelength_m),
+            channels=links.channels(self._antennas, receivers, elements, mean, diffuse, radio.wavelength_m),
         )
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:

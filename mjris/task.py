@@ -7,9 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris import observation
+from mjris.checks import checked
 from mjris.config import Config
+from mjris.radio.channel import Channels
 from mjris.radiomap import bare_values, best_goals, penalised, place_values
-from mjris.simulator import Controls, Simulator, Slot
+from mjris.scene import Controls, Scene, Slot
+from mjris.simulator import Simulator
 from mjris.streams import CellId
 
 FloatArray = NDArray[np.floating]
@@ -43,9 +46,9 @@ class Task:
         self._pans = config.world.pan == "action"
         self.action_size = 2 + self._num_phases + users + self._pans
         self._reach_m = config.world.max_speed_mps * config.world.slot_s
-        self._planned_at: tuple[int, int] | None = None
+        self._planned_for: Scene | None = None
         self._planned: tuple[FloatArray, FloatArray]
-        self._valued_at: tuple[int, int] | None = None
+        self._valued_for: Scene | None = None
         self._valued: FloatArray
         self.observation_size = self.observe().shape[1]
 
@@ -57,11 +60,19 @@ class Task:
         return self.observe()
 
     def step(self, action: FloatArray) -> Outcome:
-        """Play one slot with actions [E, A]."""
+        """Play one slot with actions [E, A]. Raises `ValueError` for any other shape and for numbers not finite."""
         before = self._potential()
         slot = self.simulator.step(*self.decode(action))
-        shaping = self.config.agent.discount * self._potential() - before
+        # Where an episode truly ends there is nothing more to be had: shaping must add up to the start's potential.
+        after = np.where(self.ended, 0.0, self._potential())
+        shaping = self.config.agent.discount * after - before
         return Outcome(self.observe(), self.reward(slot) + shaping, slot)
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """Whether the cells' episodes have come to a true end [E], after which nothing has a value."""
+        task = self.config.task
+        return (self.simulator.slots >= task.slots) & (task.end == "terminal")
 
     def _potential(self) -> FloatArray | float:
         """Potential of the scene [E] [Mb/s], or zero, for rewards shaped as in Ng, Harada and Russell (1999)."""
@@ -69,10 +80,9 @@ class Task:
         if weight == 0:
             return 0.0
         simulator = self.simulator
-        now = simulator.resets, simulator.slots
-        if now != self._valued_at:
+        if self._valued_for is not simulator.scene:
             here = place_values(simulator, simulator.scene.rover_xy[:, None])[:, 0]
-            self._valued_at, self._valued = now, weight * (here - bare_values(simulator)) / 1e6
+            self._valued_for, self._valued = simulator.scene, weight * (here - bare_values(simulator)) / 1e6
         return self._valued
 
     def decode(self, action: FloatArray) -> Controls:
@@ -82,26 +92,42 @@ class Task:
         by up to 4 m, with fine control of small moves. Phases are π times the action; or the closed-form alignment for
         user weights of 10 to the power of it. Powers are shares of what a user may have, (1 + a)/2; or the closed-form
         ones for least rates of 1 + `qos_headroom` (1 + a)/2 times the QoS. Neither exceeds the budget.
-        Pan is π times the action, from the bisector of AP and users.
+        Pan is π times the action, from the bisector of AP and users. Raises `ValueError` for any other shape and for
+        numbers not finite.
         """
-        action = np.clip(np.asarray(action, np.float64), -1, 1)
+        action = np.clip(checked("action", action, (self.simulator.num_cells, self.action_size)), -1, 1)
         phases_end = 2 + self._num_phases
-        phases_rad = self._phases(action[:, 2:phases_end])
         powers = action[:, phases_end : phases_end + self.config.world.num_users]
         pan_rad = np.pi * action[:, -1] if self._pans else None
-        return Controls(self._displacement(action[:, :2]), phases_rad, self._powers(powers, phases_rad), pan_rad)
+        held = None if self.config.task.phase_control == "weights" else self._phases(action[:, 2:phases_end])
+
+        def retune(channels: Channels) -> tuple[FloatArray, FloatArray]:
+            phases_rad = self._phases(action[:, 2:phases_end], channels) if held is None else held
+            return phases_rad, self._powers(powers, phases_rad, channels)
+
+        phases_rad, powers_w = retune(self.simulator.scene.channels)
+        return Controls(self._displacement(action[:, :2]), phases_rad, powers_w, pan_rad, retune)
 
     def observe(self) -> NDArray[np.float32]:
-        """Observations of the present scene [E, D], every entry of order one."""
-        if self.config.task.observation == "map":
-            return observation.radio_map(self.simulator, *self._goals())
-        return observation.channel_state(self.simulator)
+        """Observations of the present scene [E, D], every entry of order one.
+
+        Where episodes truly end, the last one is the share of the slots that are left.
+        """
+        task, simulator = self.config.task, self.simulator
+        if task.observation == "map":
+            seen = observation.radio_map(simulator, *self._goals())
+        else:
+            seen = observation.channel_state(simulator)
+        if task.end == "time_limit":
+            return seen
+        left = 1 - simulator.slots[:, None] / task.slots
+        return np.concatenate([seen, left], 1, dtype=np.float32)
 
     def reward(self, slot: Slot) -> FloatArray:
         """Rewards [E] [Mb/s]: eq. (R), minus the same slot's value without RIS if the reward is "gain"."""
         task = self.config.task
         value = penalised(slot.rates_bps, task.qos_bps, task.qos_penalty)
-        if slot.bare_rates_bps is not None:
+        if task.reward == "gain":
             value = value - penalised(slot.bare_rates_bps, task.qos_bps, task.qos_penalty)
         return value / 1e6
 
@@ -118,26 +144,26 @@ class Task:
             return self.simulator.world.way_toward(self.simulator.scene.rover_xy + observation.FAR_M * offset)
         return self.simulator.world.way_toward(self._goals()[0] + _GOAL_REACH_M * offset)
 
-    def _phases(self, action: FloatArray) -> FloatArray:
+    def _phases(self, action: FloatArray, channels: Channels | None = None) -> FloatArray:
         if self.config.task.phases == "random":
             return self.simulator.random_phases()
         if self.config.task.phase_control == "weights":
-            return self.simulator.reference_phases(10.0**action)
+            return self.simulator.reference_phases(10.0**action, channels)
         return np.pi * action
 
-    def _powers(self, action: FloatArray, phases_rad: FloatArray) -> FloatArray:
-        task = self.config.task
+    def _powers(self, action: FloatArray, phases_rad: FloatArray, channels: Channels) -> FloatArray:
+        task, simulator = self.config.task, self.simulator
         shares = (1 + action) / 2
         if task.power_reference == "qos":
-            effective = self.simulator.effective_channel(phases_rad)
-            powers, _ = self.simulator.reference_powers(effective, task.qos_bps * (1 + task.qos_headroom * shares))
+            effective = simulator.effective_channel(phases_rad, channels)
+            wanted_bps = task.qos_bps * (1 + task.qos_headroom * shares)
+            powers, _ = simulator.reference_powers(effective, wanted_bps, simulator.order)
             return powers
         return self.simulator.split_powers(shares)
 
     def _goals(self) -> tuple[FloatArray, FloatArray]:
         """`best_goals` of the present slot: what is observed is also what the action corrects."""
         simulator = self.simulator
-        now = simulator.resets, simulator.slots
-        if now != self._planned_at:
-            self._planned_at, self._planned = now, best_goals(simulator)
+        if self._planned_for is not simulator.scene:
+            self._planned_for, self._planned = simulator.scene, best_goals(simulator)
         return self._planned

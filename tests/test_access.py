@@ -52,8 +52,9 @@ def slow_noma(channel, power, clusters, order=None):
         sequence = list(order[v]) if order is not None else sorted(cluster, key=lambda k: gains[k])
         for place, k in enumerate(sequence):
             interfering = sum(power[j] for j in sequence[place + 1 :])
+            decoders = [k, *(j for j in sequence[place + 1 :] if power[j] > 0)]
             rates[k] = min(
-                BANDWIDTH * np.log2(1 + gains[d] * power[k] / (gains[d] * interfering + 1)) for d in sequence[place:]
+                BANDWIDTH * np.log2(1 + gains[d] * power[k] / (gains[d] * interfering + 1)) for d in decoders
             )
     return rates
 
@@ -90,6 +91,32 @@ def test_a_single_beam_is_the_matched_filter():
     assert abs(channel @ zero_forcing(channel))[0, 0] == pytest.approx(np.linalg.norm(channel), rel=1e-12)
 
 
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-12, 1e-9, 1e-7, 1e-6]), st.integers(2, 3))
+def test_beams_of_nearly_equal_channels_are_those_of_a_small_regularisation(seed, difference, rows):
+    rng = np.random.default_rng(seed)
+    channel = complex_normal(rng, (rows, 4))
+    channel[1] = 3 * (channel[0] + difference * complex_normal(rng, (4,)))
+    beams = zero_forcing(channel)
+    assert np.isfinite(beams).all()
+    np.testing.assert_allclose(np.linalg.norm(beams, axis=0), 1, rtol=1e-12)
+    if difference == 0:
+        # The pseudo-inverse: both get the matched filter within what is orthogonal to the third.
+        for beam, limit in zip(beams.T, slow_beams(channel / np.linalg.norm(channel, axis=1)[:, None]), strict=True):
+            assert abs(beam.conj() @ limit) == pytest.approx(1, abs=1e-5)
+    torch_beams = zero_forcing(torch.asarray(channel)).numpy()
+    np.testing.assert_allclose(abs(channel @ torch_beams), abs(channel @ beams), rtol=1e-3, atol=1e-5)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_regularisation_leaves_all_other_beams_as_they_are(seed, rows):
+    rng = np.random.default_rng(seed)
+    channel = complex_normal(rng, (rows, 4)) * 10 ** rng.uniform(-4, 0, (rows, 1))
+    units = channel / np.linalg.norm(channel, axis=1, keepdims=True)
+    expected = np.linalg.solve(units.conj() @ units.T, units.conj()).T
+    expected /= np.linalg.norm(expected, axis=0)
+    np.testing.assert_allclose(zero_forcing(channel), expected, atol=1e-12)
+
+
 def test_more_users_than_antennas_are_refused():
     with pytest.raises(ValueError, match="3 users needs as many antennas, and there are 2"):
         zero_forcing(np.ones((3, 2), dtype=complex))
@@ -100,6 +127,7 @@ def test_noma_equals_the_loops(users, num_clusters, antennas):
     rng = np.random.default_rng(1)
     for _ in range(10):
         channel, power, clusters = random_case(rng, users, num_clusters, antennas)
+        power = np.where(rng.random(power.shape) < 0.3, 0, power)
         rates = noma_rates(channel, power, clusters, BANDWIDTH, NOISE)
         order = rng.permuted(np.broadcast_to(clusters, (3, *clusters.shape)), axis=-1)
         static = noma_rates(channel, power, clusters, BANDWIDTH, NOISE, order)
@@ -150,6 +178,16 @@ def test_decoding_order_sorts_the_gains_and_is_the_dynamic_one():
         assert [list(row) for row in order[cell]] == [sorted(c, key=lambda k: gains[k]) for c in clusters]
     dynamic = noma_rates(channel, power, clusters, BANDWIDTH, NOISE)
     np.testing.assert_array_equal(noma_rates(channel, power, clusters, BANDWIDTH, NOISE, order), dynamic)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_where_later_users_have_no_power_the_order_does_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    channel, power, clusters = random_case(rng, 6, 2, 4, batch=())
+    power[clusters[:, 1:]] = 0
+    expected = noma_rates(channel, power, clusters, BANDWIDTH, NOISE)
+    for order in itertools.product(*(list(itertools.permutations(cluster)) for cluster in clusters)):
+        np.testing.assert_array_equal(noma_rates(channel, power, clusters, BANDWIDTH, NOISE, np.array(order)), expected)
 
 
 def test_one_order_serves_every_cell():

@@ -57,8 +57,14 @@ def test_clusters_need_not_be_in_the_order_of_the_users():
 def test_an_order_must_ascend_in_every_cluster():
     gains = np.array([[1.0, 2.0, 4.0, 3.0]] * 3)
     orders = np.array([[[0, 1], [3, 2]], [[1, 0], [3, 2]], [[0, 1], [2, 3]]])
-    assert ascending(gains, orders).tolist() == [True, False, False]
-    assert ascending(np.ones((1, 4)), orders[:1]).all()  # equal gains may be decoded either way
+    assert ascending(gains, np.ones((3, 4)), orders).tolist() == [True, False, False]
+    assert ascending(np.ones((1, 4)), np.ones((1, 4)), orders[:1]).all()  # equal gains may be decoded either way
+    # Who has no power decodes nothing, and nothing of theirs is decoded.
+    powers = np.array([[1.0, 1, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1]])
+    assert ascending(gains, powers, orders).all()
+    three, wrong = np.array([[1.0, 3.0, 2.0]]), np.array([[[0, 1, 2]]])
+    assert not ascending(three, np.ones((1, 3)), wrong)[0]
+    assert ascending(three, np.array([[1.0, 0, 1]]), wrong)[0]
 
 
 def test_every_constraint_is_reported_on_its_own():
@@ -112,7 +118,7 @@ def test_room_and_power_of_a_slot_are_those_of_the_array_functions(scheme):
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
 def test_a_dynamic_order_is_always_kept_and_so_are_room_and_power(scheme):
-    made, rng = simulator(scheme=scheme), np.random.default_rng(0)
+    made, rng = simulator(16, scheme=scheme), np.random.default_rng(0)
     met = []
     for _ in range(10):
         slot = made.step(*commands(made, rng))
@@ -127,7 +133,7 @@ def test_a_dynamic_order_is_always_kept_and_so_are_room_and_power(scheme):
 
 
 def test_a_static_order_is_kept_where_it_is_the_dynamic_one():
-    made, rng = simulator(decoding_order="static"), np.random.default_rng(1)
+    made, rng = simulator(16, decoding_order="static"), np.random.default_rng(1)
     kept, first = [], None
     for _ in range(12):
         move, phases, powers = commands(made, rng)

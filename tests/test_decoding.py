@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.radio.control import qos_first_split
-from mjris.radio.decoding import ascending, cancelled, needed_share, qos_first
+from mjris.radio.decoding import ascending, cancelled, decodable, needed_share, qos_first
 
 SEEDS = st.integers(0, 2**32 - 1)
 BANDWIDTH_HZ = 2.0
@@ -33,11 +33,13 @@ def test_rates_are_limited_by_whoever_decodes_later(seed):
     rng = np.random.default_rng(seed)
     order = rng.permutation(6).reshape(2, 3)
     gains, powers, found = 10 ** rng.uniform(-2, 3, 6), rng.uniform(0, 1, 6), np.empty(6)
+    powers[rng.random(6) < 0.3] = 0
     cancelled(BANDWIDTH_HZ, gains, powers, order, found)
     for cluster in order:
         for place, user in enumerate(cluster):
             later = sum(powers[cluster[place + 1 :]])
-            sinr = min(gains[by] * powers[user] / (gains[by] * later + 1) for by in cluster[place:])
+            decoders = [user, *(by for by in cluster[place + 1 :] if powers[by] > 0)]
+            sinr = min(gains[by] * powers[user] / (gains[by] * later + 1) for by in decoders)
             np.testing.assert_allclose(found[user], BANDWIDTH_HZ * math.log2(1 + sinr), rtol=1e-9)
 
 
@@ -47,3 +49,13 @@ def test_ascending_sorts_every_cluster(seed):
     clusters, gains = rng.permutation(8).reshape(2, 4), rng.uniform(size=8)
     expected = [sorted(cluster, key=lambda user: gains[user]) for cluster in clusters]
     np.testing.assert_array_equal(ascending(clusters, gains), expected)
+
+
+@given(SEEDS)
+def test_decodable_is_the_least_gain_from_a_user_on(seed):
+    rng = np.random.default_rng(seed)
+    order, gains = rng.permutation(6).reshape(2, 3), rng.uniform(size=6)
+    least = decodable(gains, order)
+    for cluster in order:
+        for place, user in enumerate(cluster):
+            assert least[user] == gains[cluster[place:]].min()

@@ -18,7 +18,16 @@ from mjris.radiomap import bare_values, best_goals, place_values
 from mjris.streams import CellId
 from mjris.task import Task
 
-INFO = {"rates_bps", "sum_rate_bps", "qos_met", "blockers", "clearance_m", "collisions", "constraints"}
+INFO = {
+    "rates_bps",
+    "sum_rate_bps",
+    "bare_sum_rate_bps",
+    "qos_met",
+    "blockers",
+    "clearance_m",
+    "collisions",
+    "constraints",
+}
 
 
 def changed(base: Config, **fields) -> Config:
@@ -56,6 +65,7 @@ def test_made_by_gymnasium_with_everything_in_info():
         assert set(info) >= INFO
         assert info["rates_bps"].shape == info["qos_met"].shape == (4,)
         assert info["sum_rate_bps"] == pytest.approx(info["rates_bps"].sum())
+        assert info["bare_sum_rate_bps"] > 0
         np.testing.assert_array_equal(info["qos_met"], info["rates_bps"] >= 10e3)
         assert info["blockers"].shape == (9,)
         assert info["clearance_m"] > 0
@@ -80,11 +90,12 @@ def test_vec_env_is_single_environments_side_by_side(name, processes):
         together, rewards, dones, infos = vec.step_wait()
         assert isinstance(together, np.ndarray)
         for e, env in enumerate(singles):
-            observation, reward, _, truncated, info = env.step(actions[e])
-            assert dones[e] == truncated == (slot % 4 == 3)
-            if truncated:
+            observation, reward, terminated, truncated, info = env.step(actions[e])
+            assert dones[e] == (terminated or truncated) == (slot % 4 == 3)
+            if terminated or truncated:
                 np.testing.assert_allclose(infos[e]["terminal_observation"], observation, atol=1e-5)
-                assert infos[e]["TimeLimit.truncated"]
+                assert terminated == (name == "paper")
+                assert infos[e]["TimeLimit.truncated"] == truncated
                 observation, _ = env.reset()
             np.testing.assert_allclose(together[e], observation, atol=1e-5)
             assert rewards[e] == pytest.approx(reward, rel=1e-5, abs=1e-5)
@@ -138,7 +149,7 @@ def test_power_and_displacement_never_exceed_their_budgets(seed, scale, signs):
     action = np.random.default_rng(seed).uniform(-scale, scale, (1, TASK.action_size))
     action = np.sign(action) if signs else action
     for task in (TASK, *QOS_TASKS):
-        move, phases, powers, _ = task.decode(action[:, : task.action_size])
+        move, phases, powers, *_ = task.decode(action[:, : task.action_size])
         radio = task.config.radio
         budget = radio.tx_power_w * (1 + 1e-12)
         assert (powers >= 0).all()
@@ -156,7 +167,7 @@ def test_plain_actions_mean_what_they_say():
     action[0, :2] = 0.6, -0.8
     action[0, 2:18] = np.linspace(-1, 1, 16)
     action[0, 18:] = 0.0, -0.5, -1.0, 1.0
-    move, phases, powers, _ = TASK.decode(action)
+    move, phases, powers, *_ = TASK.decode(action)
     np.testing.assert_allclose(move, [[0.3, -0.4]])
     np.testing.assert_allclose(phases[0], np.pi * np.linspace(-1, 1, 16))
     np.testing.assert_allclose(powers[0], [0.05 * 0.5, 0.05 * 0.25, 0, 0.05])
@@ -199,7 +210,7 @@ def test_no_power_action_costs_a_user_its_qos():
     rng = np.random.default_rng(3)
     served = 0
     for _ in range(10):
-        _, phases, powers, _ = task.decode(rng.uniform(-1.0, 1.0, (32, task.action_size)))
+        _, phases, powers, *_ = task.decode(rng.uniform(-1.0, 1.0, (32, task.action_size)))
         effective = simulator.effective_channel(phases)
         _, best = simulator.reference_powers(effective)
         possible = (best >= OFFICE.task.qos_bps).all(-1)
@@ -213,7 +224,7 @@ def test_no_power_action_costs_a_user_its_qos():
 def test_action_zero_is_the_closed_forms(scheme):
     task = Task(changed(OFFICE, scheme=scheme), cells=3)
     simulator = task.simulator
-    move, phases, powers, _ = task.decode(np.zeros((3, task.action_size)))
+    move, phases, powers, *_ = task.decode(np.zeros((3, task.action_size)))
     np.testing.assert_array_equal(move, simulator.world.way_toward(best_goals(simulator)[0]))
     system = serving.System.of(task.config.radio, simulator.clusters, task.config.task.qos_bps)
     aligned = alignment.qos_aligned_phases(system, simulator.scene.channels)
@@ -233,9 +244,7 @@ def test_rewards():
         missed = []
         free = changed(OFFICE, reward=kind)
         for outcome in [*play(free, 10), *play(free, 20, scale=0)]:
-            bare_bps = outcome.slot.bare_rates_bps
-            assert (bare_bps is not None) == (kind == "gain")
-            bare = 0 if bare_bps is None else value(bare_bps)
+            bare = value(outcome.slot.bare_rates_bps) if kind == "gain" else 0
             np.testing.assert_allclose(outcome.reward, value(outcome.slot.rates_bps) - bare, atol=1e-12)
             missed.append(~outcome.slot.qos_met.all(-1))
         assert 0 < np.mean(missed) < 1
@@ -306,3 +315,90 @@ def test_rewards_do_not_collapse_after_the_first_episode(name):
         assert abs(later.mean() - episodes[0].mean()) < 4 * spread
         assert 0.3 < later.std() / episodes[0].std() < 3
         assert not np.allclose(later, episodes[0])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_an_action_that_is_not_finite_is_refused_and_nothing_has_happened(value):
+    env, vec = OfficeEnv(OFFICE), OfficeVecEnv(4, OFFICE, processes=2)
+    env.reset(seed=0)
+    vec.reset()
+    action, actions = np.zeros(10), np.zeros((4, 10))
+    action[3], actions[2, 7] = value, value
+    with pytest.raises(ValueError, match=r"action: .* in entry 3 of cell 0 is not allowed"):
+        env.step(action)
+    with pytest.raises(ValueError, match=r"action: .* in entry 7 of cell 2 is not allowed"):
+        vec.step(actions)
+    untouched = OfficeEnv(OFFICE)
+    untouched.reset(seed=0)
+    np.testing.assert_array_equal(env.step(np.zeros(10))[0], untouched.step(np.zeros(10))[0])
+    vec.step(np.zeros((4, 10)))
+    vec.close()
+
+
+@pytest.mark.parametrize("shape", [(7,), (11,), (22,), (1, 10), (), (10, 1)])
+def test_actions_of_other_shapes_are_refused(shape):
+    env, vec = OfficeEnv(OFFICE), OfficeVecEnv(4, OFFICE)
+    with pytest.raises(ValueError, match=r"action: an array of shape .* is not allowed: it must be \(10,\)"):
+        env.step(np.zeros(shape))
+    for wrong in (shape, (4, 9), (3, 10)):
+        with pytest.raises(ValueError, match=r"action: an array of shape .* is not allowed: it must be \(4, 10\)"):
+            vec.step(np.zeros(wrong))
+
+
+def test_many_users_and_a_short_action():
+    made = changed(
+        OFFICE, layout="open", num_users=24, num_clusters=4, power_reference="even", phase_control="elements"
+    )
+    task = Task(made)
+    with pytest.raises(ValueError, match="action"):
+        task.step(np.zeros((1, 10)))
+
+
+def test_terminal_episodes_observe_the_time_that_is_left_and_others_do_not():
+    for name in ("paper", "office"):
+        ends = changed(preset(name), slots=4, end="terminal", drive="kinematic")
+        env, open_ended = OfficeEnv(ends), OfficeEnv(replace(changed(ends, end="time_limit"), agent=OFFICE.agent))
+        assert env.observation_space.shape == (open_ended.task.observation_size + 1,)
+        for episode in range(2):
+            seen, _ = env.reset(seed=episode)
+            same, _ = open_ended.reset(seed=episode)
+            for slot in range(4):
+                np.testing.assert_array_equal(seen[:-1], same)
+                assert seen[-1] == pytest.approx(1 - slot / 4)
+                action = np.zeros(env.task.action_size)
+                seen, _, terminated, truncated, _ = env.step(action)
+                assert (terminated, truncated) == (slot == 3, False)
+                same, _, terminated, truncated, _ = open_ended.step(action)
+                assert (terminated, truncated) == (False, slot == 3)
+            assert seen[-1] == 0
+
+
+def test_shaping_adds_up_to_the_potential_of_the_start_where_episodes_truly_end():
+    ending = changed(OFFICE, slots=5, end="terminal")
+    plain, shaped = Task(ending, cells=3), Task(changed(ending, map_potential=4.0), cells=3)
+    made, rng = shaped.simulator, np.random.default_rng(0)
+    first = 4e-6 * (place_values(made, made.scene.rover_xy[:, None])[:, 0] - bare_values(made))
+    total, factor = np.zeros(3), 1.0
+    for _ in range(5):
+        action = rng.uniform(-1, 1, (3, plain.action_size))
+        total += factor * (shaped.step(action).reward - plain.step(action).reward)
+        factor *= ending.agent.discount
+    np.testing.assert_allclose(total, -first, atol=1e-9)
+
+
+def test_people_and_rovers_moved_by_hand_get_a_goal_of_their_own():
+    """What is observed after a look is what a simulator that begins there observes."""
+    task = Task(OFFICE, cells=2)
+    before = task.observe()
+    simulator, cells = task.simulator, np.arange(2)
+    simulator.world.fleet.place(cells, np.array([[7.0, 9.0], [3.0, 10.0]]), np.zeros(2))
+    # Nothing is mixed until the simulator looks: goal and scene are both of before.
+    np.testing.assert_array_equal(task.observe(), before)
+    simulator.look()
+    np.testing.assert_array_equal(task._goals()[0], best_goals(simulator)[0])
+    moved = task.observe()
+    simulator.world.crowd.place(cells, simulator.world.crowd.xy[:, ::-1].copy())
+    np.testing.assert_array_equal(task.observe(), moved)
+    simulator.look()
+    np.testing.assert_array_equal(task._goals()[0], best_goals(simulator)[0])
+    assert not np.allclose(task.observe(), moved)

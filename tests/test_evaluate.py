@@ -102,7 +102,7 @@ def test_action_zero_beats_random_actions_and_no_ris(table):
 def test_action_zero_of_the_paper_stands_still_without_phases():
     made = replace(preset("paper"), world=replace(config().world), task=Task(slots=2))
     agents = Agents(made, SCENES)
-    move, phases, powers, _ = reference_controls().controls(agents)
+    move, phases, powers, *_ = reference_controls().controls(agents)
     assert not move.any()
     assert not phases.any()
     np.testing.assert_allclose(powers, made.radio.tx_power_w / made.world.num_users)

@@ -12,7 +12,9 @@ from pymanopt.manifolds import ComplexCircle
 from pymanopt.optimizers import ConjugateGradient
 
 from mjris.config import Radio
+from mjris.eval.bound import upper_bound
 from mjris.eval.optimum import best_known, best_powers
+from mjris.radio import alignment, serving
 from mjris.radio.access import noma_rates, oma_rates
 from mjris.radio.channel import Channels, effective_channel, ris_response
 from mjris.radio.control import aligned_phases, qos_first_powers
@@ -113,7 +115,7 @@ def test_more_effort_and_closed_forms_hardly_gain(scheme):
     channels, radio = random_channels(rng, batch=(20,)), unit_radio(scheme=scheme)
     usual = score(best_known(channels, CLUSTERS, radio, QOS, rng).rates_bps, QOS)
     effort = {"random_starts": 30, "finalists": 20, "final_steps": 80}
-    more = score(best_known(channels, CLUSTERS, radio, QOS, rng, **effort).rates_bps, QOS)
+    more = score(best_known(channels, CLUSTERS, radio, QOS, rng, None, **effort).rates_bps, QOS)
     assert np.all(usual >= 0.98 * more)
     assert usual.mean() >= 0.998 * more.mean()
     phases = aligned_phases(channels)
@@ -130,7 +132,7 @@ def test_limits_are_kept(seed, scheme, num_clusters, qos_bps):
     channels = random_channels(rng, batch=(2, 3))
     radio = unit_radio(scheme=scheme, num_clusters=num_clusters, element_amplitude=0.7)
     effort = {"random_starts": 1, "screening_steps": 3, "finalists": 1, "final_steps": 3}
-    optimum = best_known(channels, clusters, radio, qos_bps, rng, **effort)
+    optimum = best_known(channels, clusters, radio, qos_bps, rng, None, **effort)
     assert optimum.phases_rad.shape == (2, 3, 8)
     np.testing.assert_allclose(abs(ris_response(optimum.phases_rad, 1.0)), 1, rtol=1e-12)
     assert np.all(optimum.powers_w >= 0)
@@ -180,3 +182,34 @@ def test_a_cluster_saves_power_where_that_serves_the_other():
     assert (noma_rates(channel, powers, clusters, BAND, 1.0) >= qos_bps).all()
     assert powers[:2].sum() == pytest.approx(5)
     assert powers[2:].sum() < 4
+
+
+@given(SEEDS)
+def test_the_best_known_for_a_given_order_is_kept_in_it_and_beats_the_closed_forms(seed):
+    rng = np.random.default_rng(seed)
+    channels = random_channels(rng, batch=(6,))
+    radio = unit_radio()
+    order = np.stack([rng.permuted(CLUSTERS, axis=1) for _ in range(6)])
+    order[0] = -1
+    best = best_known(channels, CLUSTERS, radio, 0.3 * BAND, rng, order)
+    served = serving.System.of(radio, CLUSTERS, 0.3 * BAND)
+    phases = alignment.qos_aligned_phases(served, channels, None, order)
+    effective = effective_channel(channels, ris_response(phases, 1.0))
+    _, closed = serving.qos_or_sum(served, effective, None, order)
+    assert (score(best.rates_bps, 0.3 * BAND) >= score(closed, 0.3 * BAND) - 1e-3 * BAND).all()
+    effective = effective_channel(channels, ris_response(best.phases_rad, 1.0))
+    np.testing.assert_allclose(serving.rates(served, effective, best.powers_w, order), best.rates_bps, rtol=1e-9)
+    first = best_known(channels, CLUSTERS, radio, 0.3 * BAND, np.random.default_rng(1))
+    assert score(first.rates_bps, 0.3 * BAND).mean() >= score(best.rates_bps, 0.3 * BAND).mean() - 0.02 * BAND
+
+
+def test_a_selecting_scheduler_has_the_best_of_both_and_stays_below_its_bound():
+    rng = np.random.default_rng(5)
+    channels = random_channels(rng, batch=(20,))
+    plain, selecting = (unit_radio(scheme="oma", oma_selection=selection) for selection in (False, True))
+    few, many = (best_known(channels, CLUSTERS, each, 1.2 * BAND, rng) for each in (plain, selecting))
+    met = (few.rates_bps >= 1.2 * BAND).all(-1)
+    assert 0 < met.mean() < 1
+    np.testing.assert_array_equal((many.rates_bps >= 1.2 * BAND).all(-1), met)
+    assert (many.rates_bps.sum(-1) >= few.rates_bps.sum(-1) * (1 - 1e-3))[~met].all()
+    assert (many.rates_bps.sum(-1) <= upper_bound(channels, CLUSTERS, selecting)).all()

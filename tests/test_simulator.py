@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,8 @@ def assert_cells_alone_give_the_same(settings: Config, tolerance: float) -> None
     for cell in range(3):
         single = Simulator(settings, [CellId(settings.named_seed, cell)])
         for slot, command in zip(slots, commands, strict=True):
-            assert_same(slot, single.step(*(part[cell : cell + 1] for part in command)), cell, tolerance)
+            move, phases, powers = (part[cell : cell + 1] for part in command)
+            assert_same(slot, single.step(move, phases, powers), cell, tolerance)
 
 
 def blocked_fading(simulator: Simulator) -> np.ndarray:
@@ -216,7 +218,6 @@ def test_bare_rates_are_those_without_ris_under_the_reference_powers(scheme):
     rates = access.noma_rates if scheme == "noma" else access.oma_rates
     expected = rates(direct, powers, simulator.clusters, radio.bandwidth_hz, radio.noise_w)
     bare_bps = play(simulator, 1)[0].bare_rates_bps
-    assert bare_bps is not None
     np.testing.assert_allclose(bare_bps, expected, rtol=1e-9)
 
 
@@ -307,3 +308,127 @@ def test_arrays_of_any_size_leave_places_and_steps_as_they_are():
             parked = np.zeros((2, 2))
             simulator.step(parked, np.zeros((2, simulator.config.radio.num_elements)), np.zeros((2, 4)))
     np.testing.assert_array_equal(small.scene.users_xy, large.scene.users_xy)
+
+
+@pytest.mark.parametrize("wrong", ["displacement_m", "phases_rad", "powers_w", "pan_rad"])
+def test_what_is_not_finite_or_of_another_shape_is_refused(wrong):
+    simulator = Simulator(config(), cells=3)
+    good: dict[str, Any] = {
+        "displacement_m": np.zeros((3, 2)),
+        "phases_rad": np.zeros((3, 16)),
+        "powers_w": np.zeros((3, 4)),
+        "pan_rad": np.zeros(3),
+    }
+    scene = simulator.scene
+    for value in (np.nan, np.inf):
+        bad = good[wrong].copy()
+        bad.flat[-1] = value
+        with pytest.raises(ValueError, match=f"{wrong}: {value} in entry .* of cell .* is not allowed"):
+            simulator.step(**(good | {wrong: bad}))
+    for shape in ((2, *good[wrong].shape[1:]), (3, 5), ()):
+        with pytest.raises(ValueError, match=f"{wrong}: an array of shape"):
+            simulator.step(**(good | {wrong: np.zeros(shape)}))
+    assert simulator.scene is scene
+    simulator.step(**good)
+
+
+def static(**fields) -> Config:
+    return config(decoding_order="static", **fields)
+
+
+def test_the_closed_forms_know_the_static_order():
+    """In its first slot an episode's order is that of the gains; later, what is allocated is what that order gives."""
+    simulator = Simulator(static(task=Task(qos_bps=2e3)), cells=24)
+    moves = np.zeros((24, 2))
+    served = 0
+    for slot in range(6):
+        order = simulator.order.copy()
+        assert (order < 0).all() == (slot == 0)
+        phases = simulator.reference_phases()
+        effective = simulator.effective_channel(phases)
+        powers, promised = simulator.reference_powers(effective, None, order)
+        result = simulator.step(moves, phases, powers)
+        np.testing.assert_allclose(result.rates_bps, promised, rtol=1e-9)
+        if slot:
+            np.testing.assert_array_equal(simulator.order, order)
+            # Who does not know the order promises what it cannot keep, somewhere.
+            unaware, _ = simulator.reference_powers(effective)
+            kept = simulator.rates(effective, unaware, order)
+            assert (kept.min(-1) >= 2e3).sum() <= (promised.min(-1) >= 2e3).sum()
+            served += (promised.min(-1) >= 2e3).sum() - (kept.min(-1) >= 2e3).sum()
+    assert served > 0
+
+
+def test_a_static_order_does_not_matter_where_one_user_of_a_cluster_has_all():
+    simulator = Simulator(static(), cells=8)
+    play(simulator, 3)
+    powers = np.zeros((8, 4))
+    powers[:, [1, 2]] = 0.05
+    effective = simulator.effective_channel(np.zeros((8, 16)))
+    dynamic = simulator.rates(effective, powers)
+    np.testing.assert_array_equal(simulator.rates(effective, powers, simulator.order), dynamic)
+    np.testing.assert_array_equal(simulator.rates(effective, powers, simulator.order[..., ::-1].copy()), dynamic)
+
+
+def held(updates: int, **world) -> Config:
+    made = config("kinematic", Task(phase_updates_per_slot=updates))
+    return replace(made, world=replace(made.world, **world))
+
+
+def test_phases_that_are_held_see_what_a_plain_loop_over_the_ticks_sees():
+    """Tick by tick, by a simulator whose slots are that short and whose people go on in one direction."""
+    simulator = Simulator(held(2, ticks_per_slot=4, walk_scale_m=0.0), cells=3)
+    fast = Simulator(held(0, ticks_per_slot=1, slot_s=0.25, walk_scale_m=0.0, bumper_m=0.2, clearance_m=0.2), cells=3)
+    fast.world.crowd.place(np.arange(3), simulator.world.crowd.xy)
+    fast.look()
+    memory = math.cos(math.acos(simulator.config.radio.fading_memory) / 4)
+    diffuse = simulator._diffuse.copy()
+    fresh = Simulator(held(2, ticks_per_slot=4, walk_scale_m=0.0), cells=3)._draw_diffuse(np.arange(3))
+    assert memory == pytest.approx(math.cos(math.pi / 8))
+    asked, seen = [], []
+
+    def retune(channels):
+        asked.append(channels)
+        return np.full((3, 16), 0.5), np.full((3, 4), 0.02)
+
+    phases, powers, move = np.zeros((3, 16)), np.full((3, 4), 0.01), np.tile([0.2, 0.1], (3, 1))
+    slot = simulator.step(move, phases, powers, None, retune)
+    expected = np.zeros((3, 4))
+    for tick in range(4):
+        angle = tick / 4 * math.pi / 2
+        fast._diffuse = math.cos(angle) * diffuse + math.sin(angle) * fresh
+        channels = fast.look().channels
+        seen.append(channels)
+        if tick == 2:
+            phases, powers = np.full((3, 16), 0.5), np.full((3, 4), 0.02)
+        response = np.exp(1j * phases)
+        effective = channels.direct + (channels.reflected * response[:, None]) @ channels.incident
+        clusters, radio = fast.clusters, fast.config.radio
+        expected += access.noma_rates(effective, powers, clusters, radio.bandwidth_hz, radio.noise_w) / 4
+        fast.world.fleet.place(np.arange(3), fast.world.fleet.xy + move / 4, np.arctan2(move[:, 1], move[:, 0]))
+        fast.world.fleet.face(simulator.scene.panel_heading)
+    assert len(asked) == 1
+    np.testing.assert_allclose(asked[0].direct, seen[2].direct, rtol=1e-6)
+    np.testing.assert_allclose(slot.rates_bps, expected, rtol=2e-2)
+    assert len(slot.directs) == 4
+
+
+def test_phases_that_are_held_lose_and_updates_bring_it_back():
+    """Closed forms over no RIS, in the very same slots: the more often they are set, the more they gain."""
+    gains = []
+    for updates in (0, 1, 10):
+        simulator = Simulator(held(updates), cells=24)
+
+        def retune(channels, simulator=simulator):
+            phases = simulator.reference_phases(None, channels)
+            effective = simulator.effective_channel(phases, channels)
+            return phases, simulator.reference_powers(effective, None, simulator.order)[0]
+
+        total = np.zeros(2)
+        for _ in range(8):
+            phases, powers = retune(simulator.scene.channels)
+            slot = simulator.step(np.zeros((24, 2)), phases, powers, None, retune)
+            total += slot.rates_bps.sum(), slot.bare_rates_bps.sum()
+        gains.append(total[0] / total[1] - 1)
+    assert gains[1] < gains[2]
+    assert gains[1] < gains[0]

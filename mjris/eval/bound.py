@@ -36,7 +36,8 @@ def upper_bound(channels: Channels, clusters: IntArray, radio: Radio) -> FloatAr
     """
     clusters = np.asarray(clusters)
     num_clusters, size = clusters.shape
-    oma = radio.scheme == "oma"
+    # A scheduler that selects users may give all bands to one of each cluster, as in NOMA's bound, which exceeds OMA's.
+    oma = radio.scheme == "oma" and not radio.oma_selection
     chosen = clusters.reshape(1, -1) if oma else np.stack(np.meshgrid(*clusters), -1).reshape(-1, num_clusters)
     snr = radio.tx_power_w / (num_clusters * radio.noise_w)
     loaded = channels._replace(reflected=radio.element_amplitude * channels.reflected)

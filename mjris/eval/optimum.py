@@ -2,7 +2,7 @@
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mjris.config import Radio
-from mjris.radio.access import arranged, effective_gains, noma_rates, oma_rates, resolve_order
+from mjris.radio import serving
+from mjris.radio.access import arranged, effective_gains, oma_rates, resolve_order
 from mjris.radio.channel import Channels, cascade, effective_channel, ris_response
 from mjris.radio.control import aligned_phases, qos_first_split
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
-IntArray = NDArray[np.integer]
+IntArray = NDArray[np.int64]
 
 _SLOTS = 128
 """Slots that are searched together: enough to hide the cost of a call, few enough for the cache."""
@@ -77,6 +78,14 @@ class _Problem(NamedTuple):
     clusters: Tensor
     radio: Radio
     qos_bps: float
+    order: Tensor | None = None
+    """Decoding orders that are given [B, V, K/V], negative where they are those of the gains."""
+
+    @property
+    def without_qos(self) -> "_Problem":
+        """For the sum rate alone: then one user of a cluster has all, and no order matters, nor any band."""
+        radio = replace(self.radio, scheme="noma") if self.radio.oma_selection else self.radio
+        return self._replace(qos_bps=0.0, order=None, radio=radio)
 
     @property
     def full_budgets(self) -> Tensor:
@@ -95,6 +104,7 @@ def best_known(
     radio: Radio,
     qos_bps: float,
     rng: np.random.Generator,
+    order: IntArray | None = None,
     *,
     random_starts: int = 2,
     screening_steps: int = 6,
@@ -104,9 +114,9 @@ def best_known(
     """The highest sum rate known for every slot, over all phases and all powers that `radio.scheme` allows.
 
     `channels` have the leading axes [...] of the slots, `clusters` are int [V, K/V]. A solution in which every user
-    has `qos_bps` beats one in which somebody has not; among equals the sum rate decides. Users are decoded in the
-    order of the slot's gains ("dynamic"), whatever `radio.decoding_order` says. This is the best of a search, not a
-    proven optimum; `mjris.eval.bound` has what nothing can exceed.
+    has `qos_bps` beats one in which somebody has not; among equals the sum rate decides. Users are decoded in a given
+    `order` [..., V, K/V] or, where that is None or negative, in that of the slot's gains. This is the best of a search,
+    not a proven optimum; `mjris.eval.bound` has what nothing can exceed.
 
     The search starts from phases aligned to each user, to all users, and for and against one user of each cluster, and
     from `random_starts` random ones. All climb `screening_steps`, the best `finalists` another `final_steps`, and the
@@ -119,6 +129,8 @@ def best_known(
 
     def search(problem: _Problem, slots: Tensor) -> Tensor:
         """Set the phases of `slots`, and return whether they meet QoS."""
+        if problem.order is not None:
+            problem = problem._replace(order=problem.order[slots])
         some = Channels(*(link[slots] for link in links))
         paths = _Paths.of(some)
         random = torch.as_tensor(rng.uniform(-np.pi, np.pi, (len(slots), random_starts, phases.shape[-1])))
@@ -135,37 +147,47 @@ def best_known(
         phases[slots] = tried[:, 0]
         return score[:, 0] >= 0
 
-    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps)
+    flat = None if order is None else torch.as_tensor(order).reshape(-1, *clusters.shape)
+    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps, flat)
     met = torch.zeros(len(phases), dtype=torch.bool)
     for slots in filter(len, torch.nonzero(_may_meet_qos(problem, links))[:, 0].split(_SLOTS)):
         met[slots] = search(problem, slots)
     # Where QoS is out of reach for somebody, the sum rate alone decides.
     for slots in filter(len, torch.nonzero(~met)[:, 0].split(_SLOTS)):
-        search(problem._replace(qos_bps=0.0), slots)
+        search(problem.without_qos, slots)
     effective = effective_channel(links, ris_response(phases, torch.ones(()))).numpy()
-    powers = best_powers(effective, clusters, radio, qos_bps)
-    rate = oma_rates if radio.scheme == "oma" else noma_rates
-    rates = rate(effective, powers, clusters, radio.bandwidth_hz, radio.noise_w)
+    given = None if flat is None else flat.numpy()
+    powers = best_powers(effective, clusters, radio, qos_bps, given)
+    rates = serving.rates(serving.System.of(radio, clusters, qos_bps), effective, powers, given)
     return Optimum(*(values.reshape(*batch, -1) for values in (phases.numpy(), powers, rates)))
 
 
-def best_powers(effective: ComplexArray, clusters: IntArray, radio: Radio, qos_bps: float) -> FloatArray:
+def best_powers(
+    effective: ComplexArray, clusters: IntArray, radio: Radio, qos_bps: float, order: IntArray | None = None
+) -> FloatArray:
     """The powers [..., K] [W] with the highest sum rate known for effective channels [..., K, M].
 
     "oma": zero forcing leaves no interference, so that everybody best has P/K. "noma": for what a cluster spends,
     QoS-first is optimal in it. Clusters disturb each other's weaker users, so that it can pay to spend less than P/V;
     how much is searched numerically. Where QoS is out of reach for somebody, it is given up for all, and the power goes
-    to where it gives the highest sum rate.
+    to where it gives the highest sum rate; with OMA only if its scheduler selects users. `order` as in `best_known`.
     """
-    if radio.scheme == "oma":
-        return np.full(effective.shape[:-1], radio.tx_power_w / effective.shape[-2])
-    channel = torch.as_tensor(effective)
-    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps)
-    without_qos = problem._replace(qos_bps=0.0)
+    channel = torch.as_tensor(effective).reshape(-1, *effective.shape[-2:])
+    given = None if order is None else torch.as_tensor(order).reshape(-1, *clusters.shape)
+    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps, given)
     budgets, score = _best_budgets(problem, channel)
-    served = _qos_first(problem, channel, budgets)
-    unserved = _qos_first(without_qos, channel, _best_budgets(without_qos, channel)[0])
-    return torch.where((score >= 0)[..., None], served, unserved).numpy()
+    if radio.scheme == "oma":
+        powers = torch.full(channel.shape[:-1], radio.tx_power_w / channel.shape[-2], dtype=torch.float64)
+    else:
+        powers = _qos_first(problem, channel, budgets)
+    if radio.scheme == "noma" or radio.oma_selection:
+        alone = problem.without_qos
+        unserved_budgets, sum_rate = _best_budgets(alone, channel)
+        if radio.oma_selection:
+            # Users are selected where that gives more.
+            score = torch.where(_merit(problem, channel, budgets)[0] >= sum_rate, 0.0, score)
+        powers = torch.where((score >= 0)[..., None], powers, _qos_first(alone, channel, unserved_budgets))
+    return powers.reshape(effective.shape[:-1]).numpy()
 
 
 def _may_meet_qos(problem: _Problem, links: Channels) -> Tensor:
@@ -324,10 +346,9 @@ def _best_budgets(problem: _Problem, channel: Tensor) -> tuple[Tensor, Tensor]:
 def _qos_first(problem: _Problem, channel: Tensor, budgets: Tensor) -> Tensor:
     """QoS-first powers [..., K] [W] where clusters spend `budgets` [..., V] [W]."""
     radio, clusters = problem.radio, problem.clusters
-    gains = effective_gains(channel, budgets, clusters, radio.noise_w)
-    order = resolve_order(gains, clusters).flatten(-2)
-    ordered = torch.take_along_dim(gains, order, -1).unflatten(-1, clusters.shape)
-    powers = qos_first_split(ordered, budgets, radio.bandwidth_hz, problem.qos_bps)
+    inverse = 1 / effective_gains(channel, budgets, clusters, radio.noise_w)
+    order = _decoded(problem, inverse).flatten(-2)
+    powers = qos_first_split(1 / _weakest_first(problem, inverse), budgets, radio.bandwidth_hz, problem.qos_bps)
     return torch.take_along_dim(powers.flatten(-2), order.argsort(-1), -1)
 
 
@@ -336,9 +357,26 @@ def _score(sum_rate: Tensor, shortfall: Tensor) -> Tensor:
     return torch.where(shortfall > 0, -shortfall, sum_rate)
 
 
+def _decoded(problem: _Problem, inverse_gains: Tensor) -> Tensor:
+    """The decoding order [B, ..., V, K/V] for 1/e [B, ..., K]: that of the gains, or the problem's where it has one."""
+    by_gain = resolve_order(1 / inverse_gains, problem.clusters)
+    if problem.order is None:
+        return by_gain
+    slots, *shape = problem.order.shape
+    given = problem.order.reshape(slots, *[1] * (inverse_gains.ndim - 2), *shape)
+    return torch.where(given < 0, by_gain, given)
+
+
 def _weakest_first(problem: _Problem, inverse_gains: Tensor) -> Tensor:
-    """1/e of the users [..., K] sorted by cluster, the weakest first: [..., V, K/V]."""
-    return arranged(inverse_gains, problem.clusters).sort(-1, descending=True).values
+    """1/e of the users [B, ..., K] by cluster, the first decoded first, [B, ..., V, K/V].
+
+    In the order of the gains that is sorted; in another one a user counts with the weakest of those that decode it.
+    """
+    if problem.order is None:
+        return arranged(inverse_gains, problem.clusters).sort(-1, descending=True).values
+    order = _decoded(problem, inverse_gains)
+    ordered = torch.take_along_dim(inverse_gains, order.flatten(-2), -1).unflatten(-1, order.shape[-2:])
+    return ordered.flip(-1).cummax(-1).values.flip(-1)
 
 
 def _needed(problem: _Problem, ordered: Tensor) -> Tensor:

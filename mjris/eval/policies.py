@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from mjris.eval.optimum import best_known, best_powers
 from mjris.radiomap import best_goals
-from mjris.simulator import Controls, Simulator
+from mjris.scene import Controls
+from mjris.simulator import Simulator
 from mjris.streams import Purpose, generator
 from mjris.task import Task
 

@@ -11,13 +11,18 @@ from array_api_compat import device
 from mjris.radio.namespace import array_namespace
 from mjris.radio.propagation import Array
 
+SINGULAR, REGULAR = 1e-13, 1e-7
+"""Channels whose matrix of inner products has a pivot below the first are taken for dependent, and have the second
+added to its diagonal."""
+
 
 def zero_forcing(channel: Array) -> Array:
     """Unit-norm beams [..., M, S] that null every row of `channel` [..., S, M] but their own, eq. (ZF).
 
     The paper's G = H (HᴴH)⁻¹ normalises the received gain to one instead, which would make the transmit power depend
-    on the channel; with unit norm the powers are what is transmitted. Raises `ValueError` where S > M; linearly
-    dependent rows have no such beams, and the library's error for a singular matrix passes through.
+    on the channel; with unit norm the powers are what is transmitted. No beam can tell linearly dependent rows
+    apart: theirs are the regularised ones, (H Hᴴ + ε I)⁻¹ H for rows of norm one, for equal rows the matched filter.
+    Raises `ValueError` where S > M.
     """
     xp = array_namespace(channel)
     rows, antennas = channel.shape[-2:]
@@ -26,8 +31,22 @@ def zero_forcing(channel: Array) -> Array:
     # The scale of a row does not change the beams; unit rows keep users with very different losses well conditioned.
     directions = _unit_rows(channel)
     conjugate = xp.conj(directions)
-    beams = xp.linalg.solve(conjugate @ xp.matrix_transpose(directions), conjugate)
-    return xp.matrix_transpose(_unit_rows(beams))
+    gram = conjugate @ xp.matrix_transpose(directions)
+    added = REGULAR * xp.astype(_least_pivot(gram) < SINGULAR, xp.float64)
+    gram = gram + added[..., None, None] * xp.eye(rows, device=device(channel))
+    return xp.matrix_transpose(_unit_rows(xp.linalg.solve(gram, conjugate)))
+
+
+def _least_pivot(gram: Array) -> Array:
+    """The least pivot [...] of Hermitian matrices [..., S, S] of inner products of unit vectors: zero if dependent."""
+    xp = array_namespace(gram)
+    least = xp.real(gram[..., 0, 0])
+    for i in range(gram.shape[-1] - 1):
+        # A pivot of zero leaves nothing to eliminate, and is the least one already.
+        pivot = xp.where(xp.abs(gram[..., i, i]) > 0, gram[..., i, i], 1.0)
+        gram = gram - gram[..., :, i, None] * gram[..., None, i, :] / pivot[..., None, None]
+        least = xp.minimum(least, xp.real(gram[..., i + 1, i + 1]))
+    return least
 
 
 def noma_rates(
@@ -37,8 +56,9 @@ def noma_rates(
 
     `channel` [..., K, M] is the effective channel, `power_w` [..., K] [W], `clusters` int [V, K/V] the users of every
     cluster, `noise_w` the noise in the whole band [W], and `order` int [..., V, K/V] the users of every cluster from
-    first decoded to last, None for the order by gain. A signal has the least rate of all users that must decode it.
-    Raises `ValueError` for negative powers, and for clusters or an order that do not hold every user once.
+    first decoded to last, None for the order by gain. A signal has the least rate of all users that must decode it;
+    who is sent nothing decodes for nobody. Raises `ValueError` for negative powers, and for clusters or an order that
+    do not hold every user once.
     """
     clusters = partition(clusters, channel.shape[-2], channel)
     gains = _loaded_gains(channel, power_w, clusters, noise_w)
@@ -145,16 +165,19 @@ def later_users(order: Array) -> Array:
 
 
 def decodable_gains(gains: Array, later: Array) -> Array:
-    """Least effective gain [..., K] of the users that must decode a signal: its own one and the `later_users`."""
+    """Least effective gain [..., K] of all users that must decode a signal: its own, and `later` ones [..., K, K]."""
     xp = array_namespace(gains)
     return xp.minimum(gains, xp.min(xp.where(later, gains[..., None, :], math.inf), axis=-1))
 
 
 def cancellation_rates(gains: Array, power_w: Array, later: Array, bandwidth_hz: float) -> Array:
-    """Rates [..., K] [bit/s] for effective gains and powers [..., K] where only `later` users interfere, eq. (inuk)."""
+    """Rates [..., K] [bit/s] for effective gains and powers [..., K] where only `later` users interfere, eq. (inuk).
+
+    Of these, who has power must decode a signal first.
+    """
     xp = array_namespace(gains, power_w)
     interference = xp.sum(xp.where(later, power_w[..., None, :], 0.0), axis=-1)
-    gains = decodable_gains(gains, later)
+    gains = decodable_gains(gains, later & (power_w[..., None, :] > 0))
     return _rates(gains * power_w / (gains * interference + 1), bandwidth_hz)
 
 

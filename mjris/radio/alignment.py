@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.compiled import compiled
+from mjris.radio.beams import strength
 from mjris.radio.channel import Channels
 from mjris.radio.decoding import ascending
-from mjris.radio.serving import System, serve, strength
+from mjris.radio.serving import System, serve
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
+IntArray = NDArray[np.int64]
 
 _LINEAR_ITERATIONS = 2
 """How often `qos_aligned_phases` goes for the sum of the gains, before it cares for every user."""
@@ -19,9 +21,13 @@ _MORE_THAN_ANY_BPS = 1e12
 
 
 def qos_aligned_phases(
-    system: System, channels: Channels, weights: FloatArray | None = None, iterations: int = 7
+    system: System,
+    channels: Channels,
+    weights: FloatArray | None = None,
+    order: IntArray | None = None,
+    iterations: int = 7,
 ) -> FloatArray:
-    """Phases [E, N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum`.
+    """Phases [E, N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum` in a decoding `order`.
 
     Starts, for every rank among a cluster's users, from the phases for the users of that rank and against the others:
     a cluster's beam follows its strongest user, and the phases choose who that is. Then every iteration aligns all
@@ -32,7 +38,8 @@ def qos_aligned_phases(
     """
     weights = np.ones(channels.direct.shape[:-1]) if weights is None else np.ascontiguousarray(weights)
     direct, incident, reflected = (np.ascontiguousarray(link) for link in channels)
-    return _aligned_all(system, direct, incident, reflected, weights, iterations)
+    order = system.no_order(len(direct)) if order is None else order
+    return _aligned_all(system, direct, incident, reflected, weights, order, iterations)
 
 
 @compiled
@@ -42,14 +49,15 @@ def _aligned_all(
     incident: ComplexArray,
     reflected: ComplexArray,
     weights: FloatArray,
+    order: IntArray,
     iterations: int,
 ) -> FloatArray:
-    phases = np.empty(incident.shape[:2])
+    phases = np.zeros(incident.shape[:2])
     for cell in range(len(phases)):
         best = -np.inf
         for rank in range(system.clusters.shape[1]):
             score, response = _climb(
-                system, direct[cell], incident[cell], reflected[cell], weights[cell], rank, iterations
+                system, direct[cell], incident[cell], reflected[cell], weights[cell], order[cell], rank, iterations
             )
             if score > best:
                 best = score
@@ -65,6 +73,7 @@ def _climb(
     incident: ComplexArray,
     reflected: ComplexArray,
     weights: FloatArray,
+    order: IntArray,
     rank: int,
     iterations: int,
 ) -> tuple[float, ComplexArray]:
@@ -75,7 +84,7 @@ def _climb(
     _align(incident, reflected, direct.conj(), _for_rank(system, direct, weights, rank), response)
     for iteration in range(iterations):
         channel = _effective(direct, incident, reflected, response)
-        _, reached, beams = serve(system, channel, least)
+        _, reached, beams = serve(system, channel, least, order)
         score = reached.sum()
         if reached.min() >= system.qos_bps:
             score += _MORE_THAN_ANY_BPS

@@ -64,7 +64,8 @@ def qos_first_powers(
 
     "noma": every cluster spends P/V. In decoding order a user gets just what its QoS takes, t/(1+t) (P_left + 1/e)
     with t = 2^(R/B) - 1 and the effective gain e, or nothing where all that is left would not be enough; the last one
-    gets the rest. "oma": every user has P/K. Other arguments and errors as in `noma_rates` and `split_powers`.
+    gets the rest. Where no QoS is asked for, that is the strongest user in any order. "oma": every user has P/K. Other
+    arguments and errors as in `noma_rates` and `split_powers`.
     """
     xp = array_namespace(channel)
     num_users = channel.shape[-2]
@@ -73,14 +74,15 @@ def qos_first_powers(
         return xp.full(channel.shape[:-1], tx_power_w / num_users, dtype=xp.float64, device=device(channel))
     budgets = xp.full((clusters.shape[0],), tx_power_w / clusters.shape[0], dtype=xp.float64, device=device(channel))
     gains = effective_gains(channel, budgets, clusters, noise_w)
-    resolved = resolve_order(gains, clusters, order)
+    least = xp.asarray(qos_bps, dtype=gains.dtype, device=device(gains))
+    # Whom nothing is sent decodes for nobody.
+    resolved = resolve_order(gains, clusters, order if xp.any(least > 0) else None)
     sequence = xp.broadcast_to(xp.reshape(resolved, (*resolved.shape[:-2], num_users)), gains.shape)
 
     def decoded(values: Array) -> Array:
         in_order = xp.take_along_axis(xp.broadcast_to(values, gains.shape), sequence, axis=-1)
         return xp.reshape(in_order, (*gains.shape[:-1], *clusters.shape))
 
-    least = xp.asarray(qos_bps, dtype=gains.dtype, device=device(gains))
     decodable = decoded(decodable_gains(gains, later_users(resolved)))
     powers = qos_first_split(decodable, xp.broadcast_to(budgets, decodable.shape[:-1]), bandwidth_hz, decoded(least))
     return xp.take_along_axis(xp.reshape(powers, gains.shape), xp.argsort(sequence, axis=-1), axis=-1)

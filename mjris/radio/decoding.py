@@ -22,7 +22,7 @@ def needed_share(bandwidth_hz: float, least_bps: float) -> float:
 def qos_first(gains: FloatArray, order: IntArray, budget: float, needed: FloatArray, powers: FloatArray) -> None:
     """Write `control.qos_first_split` of every cluster to `powers` [K], for users decoded in `order` [V, K/V].
 
-    `needed` [K] are the users' `needed_share`.
+    `gains` [K] are those that count in this order, see `decodable`, and `needed` [K] the users' `needed_share`.
     """
     for v in range(len(order)):
         left = budget
@@ -35,19 +35,33 @@ def qos_first(gains: FloatArray, order: IntArray, budget: float, needed: FloatAr
 
 
 @compiled
+def decodable(gains: FloatArray, order: IntArray) -> FloatArray:
+    """The least gain [K] of every user and those later in `order` [V, K/V], who all decode its signal."""
+    least = np.empty(len(gains))
+    for v in range(len(order)):
+        weakest = np.inf
+        for place in range(order.shape[1] - 1, -1, -1):
+            user = order[v, place]
+            weakest = least[user] = min(weakest, gains[user])
+    return least
+
+
+@compiled
 def cancelled(bandwidth_hz: float, gains: FloatArray, powers: FloatArray, order: IntArray, found: FloatArray) -> None:
     """Write rates to `found` [K] where only users later in `order` [V, K/V] interfere, eq. (inuk).
 
-    Each is also decodable by those.
+    Each is also decodable by those of them who have power: who is sent nothing decodes for nobody.
     """
     for v in range(len(order)):
         later, weakest = 0.0, np.inf
         for place in range(order.shape[1] - 1, -1, -1):
             user = order[v, place]
-            weakest = min(weakest, gains[user])
-            sinr = weakest * powers[user] / (weakest * later + 1)
+            gain = min(weakest, gains[user])
+            sinr = gain * powers[user] / (gain * later + 1)
             found[user] = bandwidth_hz / math.log(2) * math.log1p(sinr)
-            later += powers[user]
+            if powers[user] > 0:
+                weakest = gain
+                later += powers[user]
 
 
 @compiled

@@ -83,10 +83,25 @@ class World:
         places = [self._free_places(int(e), rng) for e, rng in zip(cells, generators, strict=True)]
         self.crowd.place(cells, np.stack(places))
 
-    def move(self, displacement: FloatArray, distance: FloatArray, direction: FloatArray) -> Motion:
-        """One slot: rovers move by `displacement` [E, 2] [m], people `distance` [m], `direction` [rad], both [E, K]."""
+    def move(
+        self,
+        displacement: FloatArray,
+        distance: FloatArray,
+        direction: FloatArray,
+        on_tick: Callable[[], None] | None = None,
+    ) -> Motion:
+        """One slot: rovers move by `displacement` [E, 2] [m], people `distance` [m], `direction` [rad], both [E, K].
+
+        `on_tick` is called after every tick, as `World.on_tick` is.
+        """
         self.crowd.plan(distance, direction)
-        return self.fleet.move(displacement, self.on_tick)
+        listeners = [each for each in (on_tick, self.on_tick) if each is not None]
+
+        def tell() -> None:
+            for listener in listeners:
+                listener()
+
+        return self.fleet.move(displacement, tell if listeners else None)
 
     def clearance(self) -> FloatArray:
         """Distance between the rover's hull and the nearest furniture, wall or person [E] [m]."""
