@@ -9,8 +9,9 @@ from rich.console import Console
 from mjris.cli import _print_table, main
 from mjris.config import Config, ConfigError, Radio, Task, World, load, preset
 from mjris.eval.bound import upper_bound
-from mjris.eval.evaluate import compare, gain_percent, interval, play
+from mjris.eval.evaluate import compare, gain_percent, interval
 from mjris.eval.optimum import best_known, best_powers
+from mjris.eval.playing import play
 from mjris.eval.policies import no_ris, planned, planner, reference_controls
 from mjris.simulator import Simulator
 from mjris.task import Task as Agents
@@ -116,7 +117,8 @@ def test_scenes_have_fading_of_their_own_whatever_the_config_says():
 def test_scenes_are_the_same_for_all_who_stand_still():
     made = config()
     rivals = [
-        play(made, replace(reference_controls(), changes={"ris": ris}), SCENES, SEED) for ris in ("fixed", "none")
+        play(made, replace(reference_controls(), changes={"task": {"ris": ris}}), SCENES, SEED)
+        for ris in ("fixed", "none")
     ]
     np.testing.assert_array_equal(rivals[0].bare_bps, rivals[1].bare_bps)
     np.testing.assert_array_equal(rivals[0].bare_bps, play(made, no_ris(), SCENES, SEED).bare_bps)

@@ -1,7 +1,6 @@
 """Policies on the same held-out scenes: sum rate and constraints, with 95 % intervals."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -11,73 +10,15 @@ from rich.table import Table
 
 from mjris.config import Config, ConfigError
 from mjris.constraints import NAMES
-from mjris.eval.bound import upper_bound
-from mjris.eval.optimum import best_powers
-from mjris.eval.policies import Act, Policy, agent_policies, no_ris, planner, reference_controls
-from mjris.radiomap import penalised
-from mjris.streams import CellId, Purpose, generator
-from mjris.task import Task
+from mjris.eval.playing import Played, play
+from mjris.eval.policies import Act, agent_policies, no_ris, planner, reference_controls
+from mjris.streams import Purpose, generator
 
 FloatArray = NDArray[np.floating]
 
 _RESAMPLES = 4000
 _COUNTS = ("collisions", *(f"violated_{name}" for name in NAMES))
 _BOUND = "upper bound"
-
-
-@dataclass(frozen=True)
-class Played:
-    """One policy on S scenes."""
-
-    sum_rate_bps: FloatArray
-    """Mean over the slots of every scene [S] [bit/s]."""
-    bare_bps: FloatArray
-    """What the very same slots give without RIS and with the best powers known, [S] [bit/s]."""
-    value_bps: FloatArray
-    """The sum rate with the QoS penalty of eq. (R) [S] [bit/s]."""
-    qos_share: FloatArray
-    """Share of slots in which every user meets QoS [S]."""
-    collisions: int
-    clearance_m: float
-    """Smallest clearance of all scenes [m]."""
-    violations: Mapping[str, int]
-    """Slots of all scenes that broke each constraint, by its name."""
-    bound_bps: FloatArray
-    """Upper bound on the sum rate over the channels of these slots [S] [bit/s]; NaN where it was not asked for."""
-
-
-def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: bool = False) -> Played:
-    """One episode in each of `scenes` cells, all stepped together, with fading of their own; see `compare`."""
-    task_config, radio = replace(config.task, **policy.changes), replace(config.radio, difference_factor=1.0)
-    # Furniture follows from the scenes' seed, too: held-out scenes are not the cells of the training.
-    task = Task(replace(config, task=task_config, radio=radio), [CellId(seed, scene) for scene in range(scenes)])
-    simulator = task.simulator
-    rates, direct, bounds, met = [], [], [], []
-    collisions, clearance = 0, np.inf
-    violations = dict.fromkeys(NAMES, 0)
-    for _ in range(task_config.slots):
-        channels = simulator.scene.channels
-        slot = simulator.step(*policy.controls(task))
-        rates.append(slot.rates_bps)
-        direct.append(channels.direct)
-        bounds.append(upper_bound(channels, simulator.clusters, radio) if bounded else np.full(scenes, np.nan))
-        met.append(slot.qos_met.all(-1))
-        collisions += int(slot.collisions.sum())
-        clearance = min(clearance, float(slot.clearance_m.min()))
-        for name in NAMES:
-            violations[name] += int((~getattr(slot.constraints, name)).sum())
-    bare = np.stack(direct)
-    bare_rates = simulator.rates(bare, best_powers(bare, simulator.clusters, radio, task_config.qos_bps))
-    return Played(
-        sum_rate_bps=np.sum(rates, -1).mean(0),
-        bare_bps=bare_rates.sum(-1).mean(0),
-        value_bps=penalised(np.stack(rates), task_config.qos_bps, task_config.qos_penalty).mean(0),
-        qos_share=np.mean(met, 0),
-        collisions=collisions,
-        clearance_m=clearance,
-        violations=violations,
-        bound_bps=np.mean(bounds, 0),
-    )
 
 
 def compare(
@@ -174,6 +115,10 @@ def _row(name: str, result: Played, rng: np.random.Generator) -> dict[str, float
         **_rate_columns(name, result.sum_rate_bps, result.bare_bps, rng),
         "penalised_mbps": result.value_bps.mean() / 1e6,
         "qos_share": result.qos_share.mean(),
+        "user_qos_share": result.user_qos_share.mean(),
+        "user_rate_p5_mbps": result.user_rate_p5_bps.mean() / 1e6,
+        "jain": result.jain.mean(),
+        "superposing_share": result.superposing_share.mean(),
         "collisions": result.collisions,
         "clearance_m": result.clearance_m,
         **{f"violated_{constraint}": count for constraint, count in result.violations.items()},

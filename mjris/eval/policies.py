@@ -1,11 +1,13 @@
 """What is put on trial: an agent and its variants, and rivals that need no learning."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.config import Config
 from mjris.eval.optimum import best_known, best_powers
 from mjris.radiomap import best_goals
 from mjris.simulator import Controls, Simulator
@@ -20,13 +22,18 @@ Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 
 @dataclass(frozen=True)
 class Policy:
-    """What decides in every slot, and what it changes in the task that it plays."""
+    """What decides in every slot, and what it changes in the config that it plays."""
 
     name: str
     controls: Callable[[Task], Controls]
     """What to do in the present slot; called once a slot."""
-    changes: Mapping[str, str]
-    """Fields of the config's task."""
+    changes: Mapping[str, Mapping[str, Any]]
+    """Fields of the config, by section."""
+
+    def changed(self, config: Config) -> Config:
+        """The config with the changes. Raises `ConfigError` where a value is not allowed."""
+        sections = {name: replace(getattr(config, name), **fields) for name, fields in self.changes.items()}
+        return replace(config, **sections)
 
 
 def agent_policies(act: Act) -> list[Policy]:
@@ -36,10 +43,13 @@ def agent_policies(act: Act) -> list[Policy]:
         return task.decode(np.asarray(act(task.observe()), np.float64))
 
     return [
-        Policy("learned", controls, {"ris": "mobile", "phases": "learned"}),
-        Policy("fixed RIS", controls, {"ris": "fixed", "phases": "learned"}),
-        Policy("random phases", controls, {"ris": "mobile", "phases": "random"}),
-        Policy("no RIS", controls, {"ris": "none", "phases": "learned"}),
+        Policy(name, controls, {"task": {"ris": ris, "phases": phases}})
+        for name, ris, phases in (
+            ("learned", "mobile", "learned"),
+            ("fixed RIS", "fixed", "learned"),
+            ("random phases", "mobile", "random"),
+            ("no RIS", "none", "learned"),
+        )
     ]
 
 
@@ -49,7 +59,7 @@ def reference_controls() -> Policy:
     def controls(task: Task) -> Controls:
         return task.decode(np.zeros((task.simulator.num_cells, task.action_size)))
 
-    return Policy("reference controls", controls, {"ris": "mobile", "phases": "learned"})
+    return Policy("reference controls", controls, {"task": {"ris": "mobile", "phases": "learned"}})
 
 
 def no_ris() -> Policy:
@@ -60,7 +70,7 @@ def no_ris() -> Policy:
         powers = best_powers(simulator.scene.channels.direct, simulator.clusters, config.radio, config.task.qos_bps)
         return Controls(parked(simulator), np.zeros((simulator.num_cells, config.radio.num_elements)), powers)
 
-    return Policy("no RIS, best powers", controls, {"ris": "none"})
+    return Policy("no RIS, best powers", controls, {"task": {"ris": "none"}})
 
 
 def planner(seed: int) -> Policy:
@@ -75,7 +85,7 @@ def planner(seed: int) -> Policy:
         best = best_known(simulator.scene.channels, simulator.clusters, config.radio, config.task.qos_bps, rng)
         return Controls(planned(simulator), best.phases_rad, best.powers_w)
 
-    return Policy("planner", controls, {"ris": "mobile"})
+    return Policy("planner", controls, {"task": {"ris": "mobile"}})
 
 
 def planned(simulator: Simulator) -> FloatArray:

@@ -1,7 +1,7 @@
 """Curves over time: learning over the episodes of several seeds, and an episode's phases against the aligned ones."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from mjris.config import Config, ConfigError, load
+from mjris.eval.playing import independent
 from mjris.eval.policies import Act, agent_policies
 from mjris.show.palette import RANDOM, RIVALS, STOPS
 from mjris.task import Task
@@ -104,8 +105,7 @@ def student_interval(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
 def track_phases(config: Config, act: Act, seed: int) -> PhaseTrack:
     """The phases of an agent in an episode of some scenes, all stepped together, which follow from `seed`."""
     policy = agent_policies(act)[0]
-    radio = replace(config.radio, difference_factor=1.0)
-    task = Task(replace(config, task=replace(config.task, **policy.changes), radio=radio), cells=_SCENES)
+    task = Task(independent(policy.changed(config)), cells=_SCENES)
     task.reset(seed)
     simulator = task.simulator
     differences, gains = [], []
