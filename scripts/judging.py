@@ -13,7 +13,7 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mjris.config import Config, load, preset
-from mjris.eval.evaluate import gain_percent
+from mjris.eval.intervals import gain_percent
 from mjris.eval.playing import play
 from mjris.eval.policies import Policy, agent_policies, no_ris, planner, reference_controls
 from mjris.learn.policy import load_policy

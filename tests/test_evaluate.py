@@ -9,7 +9,7 @@ from rich.console import Console
 from mjris.cli import _print_table, main
 from mjris.config import Config, ConfigError, Radio, Task, World, load, preset
 from mjris.eval.bound import upper_bound
-from mjris.eval.evaluate import compare, gain_percent, interval
+from mjris.eval.evaluate import compare
 from mjris.eval.optimum import best_known, best_powers
 from mjris.eval.playing import play
 from mjris.eval.policies import no_ris, planned, planner, reference_controls
@@ -122,22 +122,6 @@ def test_scenes_are_the_same_for_all_who_stand_still():
     ]
     np.testing.assert_array_equal(rivals[0].bare_bps, rivals[1].bare_bps)
     np.testing.assert_array_equal(rivals[0].bare_bps, play(made, no_ris(), SCENES, SEED).bare_bps)
-
-
-def test_intervals_are_those_of_the_normal_distribution_for_many_scenes():
-    rng = np.random.default_rng(1)
-    values = rng.normal(3.0, 2.0, 1000)
-    low, high = interval(lambda mean: mean, values, rng=rng)
-    half = 1.96 * values.std() / np.sqrt(len(values))
-    np.testing.assert_allclose([low, high], [values.mean() - half, values.mean() + half], atol=0.1 * half)
-
-
-def test_scenes_are_resampled_together():
-    rng = np.random.default_rng(2)
-    bare = rng.uniform(0.1, 9.0, 50)
-    np.testing.assert_allclose(interval(gain_percent, 1.25 * bare, bare, rng=rng), (25, 25))
-    low, high = interval(gain_percent, 1.25 * rng.permutation(bare), bare, rng=rng)
-    assert low < 10 < 40 < high
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ from rich.table import Table
 
 from mjris.config import Config, ConfigError
 from mjris.constraints import NAMES
+from mjris.eval.intervals import gain_percent, interval
 from mjris.eval.playing import Played, play
 from mjris.eval.policies import Act, agent_policies, no_ris, planner, reference_controls
 from mjris.streams import Purpose, generator
 
 FloatArray = NDArray[np.floating]
 
-_RESAMPLES = 4000
 _COUNTS = ("collisions", *(f"violated_{name}" for name in NAMES))
 _BOUND = "upper bound"
 
@@ -55,20 +55,6 @@ def compare(
         for column, row in (("percent_of_planner", -2), ("percent_of_bound", -1)):
             table[column] = 100 * table["sum_rate_mbps"] / table["sum_rate_mbps"].iloc[row]
     return table
-
-
-def interval(
-    statistic: Callable[..., FloatArray], *samples: FloatArray, rng: np.random.Generator
-) -> tuple[float, float]:
-    """95 % interval of a `statistic` of the means of `samples` [S], by the bootstrap: scenes are drawn together."""
-    chosen = rng.integers(len(samples[0]), size=(_RESAMPLES, len(samples[0])))
-    low, high = np.percentile(statistic(*(sample[chosen].mean(1) for sample in samples)), [2.5, 97.5])
-    return float(low), float(high)
-
-
-def gain_percent(mean: FloatArray, bare: FloatArray) -> FloatArray:
-    """By how much one mean exceeds another [%]."""
-    return 100 * (mean / bare - 1)
 
 
 def as_text(table: pd.DataFrame) -> Table:

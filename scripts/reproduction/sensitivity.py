@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from mjris.assets import assets_dir
 from mjris.config import Config
-from mjris.eval.evaluate import gain_percent, interval
+from mjris.eval.intervals import gain_percent, interval
 from mjris.eval.playing import play
 from mjris.eval.policies import reference_controls
 from mjris.learn.study import run_folder
