@@ -161,8 +161,10 @@ class Task:
 
     slots: Count = 100
     """Slots of an episode."""
-    ris: Literal["mobile", "fixed", "none"] = "mobile"
-    """mobile: the agent drives; fixed: the rover stays where it starts; none: no RIS at all."""
+    ris: Literal["mobile", "turning", "fixed", "none"] = "mobile"
+    """mobile: the agent drives; turning: the rover stays where it starts, and its panel turns as world.pan says; fixed:
+    the panel stays, too, and faces the bisector of AP and the room's middle, or the rover's front where pan is locked;
+    none: no RIS at all."""
     phases: Literal["learned", "random"] = "learned"
     """learned: from the action; random: drawn anew every slot."""
     motion: Literal["displacement", "waypoint", "goal"] = "displacement"

@@ -307,3 +307,24 @@ def test_arrays_of_any_size_leave_places_and_steps_as_they_are():
             parked = np.zeros((2, 2))
             simulator.step(parked, np.zeros((2, simulator.config.radio.num_elements)), np.zeros((2, 4)))
     np.testing.assert_array_equal(small.scene.users_xy, large.scene.users_xy)
+
+
+@pytest.mark.parametrize("pan", ["auto", "action"])
+def test_a_fixed_panel_faces_the_room_for_good_and_a_turning_one_its_users(pan):
+    headings = {}
+    for ris in ("fixed", "turning"):
+        made = config(task=Task(ris=ris), layout="clinic")
+        simulator = Simulator(replace(made, world=replace(made.world, pan=pan, start_m=(7.0, 4.5))), 3)
+        rng, turn = np.random.default_rng(0), np.full(3, 0.3)
+        seen = [simulator.scene.panel_heading]
+        for _ in range(3):
+            _, phases, powers = inputs(simulator, rng, 3)
+            seen.append(
+                simulator.step(np.zeros((3, 2)), phases, powers, turn if pan == "action" else None).scene.panel_heading
+            )
+        headings[ris] = np.exp(1j * np.array(seen))
+    start = simulator.world.start
+    ap, middle = simulator.ap_position[0, :2], simulator.room_m[0] / 2
+    facing = (ap - start) / np.linalg.norm(ap - start) + (middle - start) / np.linalg.norm(middle - start)
+    np.testing.assert_allclose(headings["fixed"], complex(*facing) / np.linalg.norm(facing), atol=1e-9)
+    assert (np.abs(np.diff(headings["turning"], axis=0)) > 1e-6).all()

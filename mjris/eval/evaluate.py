@@ -5,14 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from rich import box
-from rich.table import Table
 
 from mjris.config import Config, ConfigError
 from mjris.constraints import NAMES
+from mjris.eval import parking
 from mjris.eval.intervals import gain_percent, interval
 from mjris.eval.playing import Played, play
-from mjris.eval.policies import Act, agent_policies, no_ris, planner, reference_controls
+from mjris.eval.policies import Act, agent_policies, fixed_ris, no_ris, planner, reference_controls, reference_oma
 from mjris.streams import Purpose, generator
 
 FloatArray = NDArray[np.floating]
@@ -30,6 +29,7 @@ def compare(
     furniture, where people start, how they mean to step, and fading. They are not the same to the last step, for people
     wait while a rover is in their way. The gain over no RIS is therefore judged within the slots that a policy played:
     its sum rate against that of the best powers known for the very same direct channels, resampled together by scenes.
+    The best-placed fixed RIS has found its spot (`x_m`, `y_m`, `heading_deg`) in other scenes, see `parking`.
 
     With the planner there are shares of its sum rate, and of the upper bound's: the mean of what no phases and powers
     could exceed for the channels along the planner's drive. It does not bound who drives elsewhere. Raises
@@ -39,10 +39,13 @@ def compare(
         raise ConfigError(f"scenes: {scenes} is not allowed: an interval needs at least 2")
     if seed < 0:
         raise ConfigError(f"scene_seed: {seed} is not allowed: it must be at least 0")
-    policies = [*agent_policies(act), reference_controls(), no_ris()]
+    report("places for a fixed RIS")
+    spot = parking.best_spot(config, seed)
+    oma = [reference_oma()] if config.radio.scheme == "noma" else []
+    parked = [fixed_ris(), parking.parked_at(spot)]
     rng = generator(seed, Purpose.RESAMPLING)
     rows = []
-    for policy in policies:
+    for policy in [*agent_policies(act), reference_controls(), *parked, *oma, no_ris()]:
         report(policy.name)
         rows.append(_row(policy.name, play(config, policy, scenes, seed), rng))
     if with_planner:
@@ -51,49 +54,12 @@ def compare(
         rows.append(_row("planner", planned, rng))
         rows.append(_rate_columns(_BOUND, planned.bound_bps, planned.bare_bps, rng))
     table = pd.DataFrame(rows).astype(dict.fromkeys(_COUNTS, "Int64"))
+    for name, value in spot._asdict().items():
+        table.loc[table["policy"] == parking.NAME, name] = value
     if with_planner:
         for column, row in (("percent_of_planner", -2), ("percent_of_bound", -1)):
             table[column] = 100 * table["sum_rate_mbps"] / table["sum_rate_mbps"].iloc[row]
     return table
-
-
-def as_text(table: pd.DataFrame) -> Table:
-    """The comparison as a table for the console, at most 120 columns wide."""
-    shares = [name for name in ("planner", "bound") if f"percent_of_{name}" in table]
-    caption = "over no RIS: against the best powers known for the same slots"
-    if shares:
-        caption += "; bound: of the slots along the planner's drive"
-    title = f"{table.scenes[0]} held-out scenes, means and 95 % intervals"
-    shown = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    shown.add_column("policy", overflow="fold")
-    for heading in (
-        "sum rate\n\\[Mb/s]",
-        "over no RIS\n\\[%]",
-        "penalised\n\\[Mb/s]",
-        "QoS\nmet",
-        *(f"% of\n{name}" for name in shares),
-        "broken\nslots",
-        "clearance\n\\[m]",
-    ):
-        shown.add_column(heading, justify="right", overflow="fold")
-    for row in table.to_dict("records"):
-        played = row["policy"] != _BOUND
-        shown.add_row(
-            row["policy"],
-            f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.2f}…{row['sum_rate_high']:.2f})",
-            f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f}…{row['gain_high']:+.1f})",
-            f"{row['penalised_mbps']:.3f}" if played else "",
-            f"{row['qos_share']:.1%}" if played else "",
-            *(f"{row[f'percent_of_{name}']:.1f}" for name in shares),
-            str(sum(row[name] for name in broken_columns())) if played else "",
-            f"{row['clearance_m']:.3f}" if played else "",
-        )
-    return shown
-
-
-def broken_columns() -> list[str]:
-    """Columns that count slots with a broken constraint; but for QoS, which has a column of its own."""
-    return [f"violated_{name}" for name in NAMES if name != "qos"]
 
 
 def _row(name: str, result: Played, rng: np.random.Generator) -> dict[str, float | int | str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ def agent_policies(act: Act) -> list[Policy]:
         for name, ris, phases in (
             ("learned", "mobile", "learned"),
             ("fixed RIS", "fixed", "learned"),
+            ("fixed RIS, panel turns", "turning", "learned"),
             ("random phases", "mobile", "random"),
             ("no RIS", "none", "learned"),
         )
@@ -55,11 +57,27 @@ def agent_policies(act: Act) -> list[Policy]:
 
 def reference_controls() -> Policy:
     """Action zero: what the task's closed forms do by themselves, so that the rest is what learning adds."""
+    return Policy("reference controls", _action_zero, {"task": {"ris": "mobile", "phases": "learned"}})
 
-    def controls(task: Task) -> Controls:
-        return task.decode(np.zeros((task.simulator.num_cells, task.action_size)))
 
-    return Policy("reference controls", controls, {"task": {"ris": "mobile", "phases": "learned"}})
+def reference_oma() -> Policy:
+    """The same with OMA, which serves every user."""
+    reference = reference_controls()
+    return Policy(f"{reference.name}, OMA", _action_zero, {**reference.changes, "radio": {"scheme": "oma"}})
+
+
+def fixed_ris(name: str = "closed forms, fixed RIS", world: Mapping[str, Any] = MappingProxyType({})) -> Policy:
+    """A RIS that neither drives nor turns, with closed-form phases and powers whatever the task has for actions.
+
+    It stands where `world` says, fields of the config, or where every episode starts.
+    """
+    closed = {"phases": "learned", "phase_control": "weights", "power_reference": "qos"}
+    # Nobody observes anything, and what a map shows would have to be worked out.
+    return Policy(name, _action_zero, {"task": {"ris": "fixed", "observation": "csi", **closed}, "world": world})
+
+
+def _action_zero(task: Task) -> Controls:
+    return task.decode(np.zeros((task.simulator.num_cells, task.action_size)))
 
 
 def no_ris() -> Policy:
