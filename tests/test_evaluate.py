@@ -108,7 +108,7 @@ def test_the_planner_is_its_drive_with_the_best_phases_and_powers(scheme):
     np.testing.assert_allclose(result.sum_rate_bps, total.mean(0), rtol=1e-9)
     np.testing.assert_allclose(result.value_bps, np.where(met, total, total / 2).mean(0), rtol=1e-9)
     np.testing.assert_allclose(result.qos_share, met.mean(0))
-    everyone = np.moveaxis(rates, 1, 0).reshape(SCENES, -1)
+    everyone = np.moveaxis(np.stack(rates), 1, 0).reshape(SCENES, -1)
     np.testing.assert_allclose(result.user_qos_share, (everyone >= made.task.qos_bps).mean(1))
     np.testing.assert_allclose(result.user_rate_p5_bps, np.percentile(everyone, 5, axis=1), rtol=1e-9)
     np.testing.assert_allclose(result.jain, np.mean(jain, 0), rtol=1e-9)
@@ -191,7 +191,7 @@ def test_the_evaluation_counts_the_slots_that_break_a_constraint():
     table = compare(static, still, scenes, 5, lambda _: None, with_planner=False)
     for name in ("in_room", "power", "collision_free"):
         assert table[f"violated_{name}"].tolist() == [0] * len(table)
-    noma = table[table["policy"] != "reference controls, OMA"]
+    noma = table.query('policy != "reference controls, OMA"')
     assert noma["violated_decoding_order"].between(1, slots * scenes - 1).all()
     np.testing.assert_allclose(table["violated_qos"].astype(int), slots * scenes * (1 - table["qos_share"]))
     console = Console(record=True, width=80)

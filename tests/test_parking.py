@@ -60,7 +60,7 @@ def test_the_spot_is_as_good_as_the_best_of_all(config, spot):
     """Against playing every place and heading."""
     nodes = Simulator(config).world.paths.nodes[::2]
     headings = (0.0, 90.0, 180.0, 270.0)
-    values = played_values(config, [Spot(*node, heading) for node in nodes.tolist() for heading in headings])
+    values = played_values(config, [Spot(x, y, heading) for x, y in nodes.tolist() for heading in headings])
     found = played_values(config, [spot])[0]
     assert found >= 0.98 * values.max()
     assert found > 1.05 * np.median(values)

@@ -74,4 +74,5 @@ def promising(config: Config, seed: int) -> list[Spot]:
     for node in np.argsort(-value)[: np.isfinite(value).sum()].tolist():
         if all(math.dist(nodes[node], nodes[other]) >= _APART_M for other in chosen):
             chosen.append(node)
-    return [Spot(*nodes[node].tolist(), float(_HEADINGS_DEG[heading[node]])) for node in chosen[:_PLAYED]]
+    best = chosen[:_PLAYED]
+    return [Spot(x, y, _HEADINGS_DEG[heading[node]]) for node, (x, y) in zip(best, nodes[best].tolist(), strict=True)]
