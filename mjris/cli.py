@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
@@ -50,7 +50,7 @@ class Train:
 
 @dataclass(kw_only=True)
 class Evaluate:
-    """Play the trained agent and its rivals on the same held-out scenes: parked, random phases, no RIS, planner.
+    """Play the trained agent and its rivals on the same held-out scenes: parked, random phases, no RIS, OMA, planner.
 
     Beside the table come figures of the learning curve, of where the agent heads from every place, and of its phases.
     """
@@ -77,9 +77,12 @@ class Evaluate:
         from rich.console import Console
 
         from mjris.eval.evaluate import compare
+        from mjris.show.curves import training_gain
 
         run_dirs = self.run_dirs or (_shipped(),)
         _check_alike(run_dirs)
+        if self._have_curves():
+            training_gain(run_dirs)  # what cannot be drawn shows here, before anything is played
         console = Console()
         if not console.is_terminal:
             # A file has no width; the 80 columns that rich takes it for would fold the cells.
@@ -99,22 +102,31 @@ class Evaluate:
         path.parent.mkdir(parents=True, exist_ok=True)
         table.to_csv(path, index=False, float_format="%.6g")
         console.print(f"table: {path}", highlight=False, soft_wrap=True)
-        with console.status("figures"):
-            figures = self._draw(act, table, path.parent)
+        with console.status("figures") as status:
+            figures = self._draw(act, table, path.parent, lambda name: status.update(f"{name}: {self.scenes} scenes"))
         for figure in figures:
             console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
 
-    def _draw(self, act: "Act", table: "pd.DataFrame", folder: Path) -> list[Path]:
-        """Write the figures; returns their paths."""
+    def _have_curves(self) -> bool:
+        return bool(self.run_dirs) and all((run / "metrics.csv").exists() for run in self.run_dirs)
+
+    def _draw(self, act: "Act", table: "pd.DataFrame", folder: Path, report: Callable[[str], None]) -> list[Path]:
+        """Write the figures; returns their paths. `report` hears of every checkpoint that is played."""
+        from mjris.eval.checkpoints import judge
         from mjris.show.curves import plot_learning, plot_phases, track_phases
         from mjris.show.field import motion_field, plot_motion_field
 
         field, phases = paths = [folder / "motion_field.png", folder / "phases.png"]
         plot_motion_field(self.config, motion_field(self.config, act, self.scene_seed), field)
         plot_phases(track_phases(self.config, act, self.scene_seed), phases)
-        if self.run_dirs and all((run / "metrics.csv").exists() for run in self.run_dirs):
+        if self._have_curves():
+
+            def checkpoint(run: Path, round_: int) -> "Act":
+                return _learned(run, self.cell, self.config, round_)
+
+            judged = judge(self.config, self.run_dirs, checkpoint, self.scenes, self.scene_seed, report)
             paths.insert(0, folder / "learning_curve.png")
-            plot_learning(self.run_dirs, table, paths[0])
+            plot_learning(self.run_dirs, judged, table, paths[0])
         return paths
 
 
@@ -315,12 +327,15 @@ def _load_opengl() -> None:
         ) from None
 
 
-def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
-    """The trained agent of a cell, acting without noise. Raises `ConfigError` if the task's sizes are others."""
+def _learned(run_dir: Path, cell: int, config: Config, round_: int | None = None) -> "Act":
+    """The agent of a cell after a round, the last by default, acting without noise.
+
+    Raises `ConfigError` if the task's sizes are others.
+    """
     from mjris.learn.policy import load_policy
     from mjris.task import Task
 
-    agent = load_policy(run_dir, cell)
+    agent = load_policy(run_dir, cell, round_=round_)
     task = Task(config)
     for what, size, space in (
         ("observation", task.observation_size, agent.observation_space),
@@ -335,9 +350,12 @@ def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
 
 
 def _print_table(console: "Console", table: "pd.DataFrame") -> None:
-    from mjris.eval.evaluate import as_text, broken_columns
+    from mjris.eval.tables import broken_columns, fairness_table, rate_table
 
-    console.print(as_text(table))
+    console.print(rate_table(table), fairness_table(table))
+    for row in table.dropna(subset="heading_deg").to_dict("records"):
+        where = f"{row['x_m']:.2f} {row['y_m']:.2f} m, facing {row['heading_deg']:.0f}°"
+        console.print(f"{row['policy']}: at {where}, found in other scenes", highlight=False)
     for row in table.dropna(subset="qos_share").to_dict("records"):
         broken = ", ".join(f"{name.removeprefix('violated_')} {row[name]}" for name in broken_columns() if row[name])
         if broken:

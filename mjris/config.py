@@ -170,8 +170,10 @@ class Task:
     phase_updates_per_slot: Annotated[int, Field(ge=0)] = 0
     """How often in a slot phases and powers are set anew, to be held in between while things move; the slot's rates are
     means over its ticks. 0: as often as it takes, so that a slot's rates are those at its start."""
-    ris: Literal["mobile", "fixed", "none"] = "mobile"
-    """mobile: the agent drives; fixed: the rover stays where it starts; none: no RIS at all."""
+    ris: Literal["mobile", "turning", "fixed", "none"] = "mobile"
+    """mobile: the agent drives; turning: the rover stays where it starts, and its panel turns as world.pan says; fixed:
+    the panel stays, too, and faces the bisector of AP and the room's middle, or the rover's front where pan is locked;
+    none: no RIS at all."""
     phases: Literal["learned", "random"] = "learned"
     """learned: from the action; random: drawn anew every slot."""
     motion: Literal["displacement", "waypoint", "goal"] = "displacement"

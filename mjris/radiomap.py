@@ -26,6 +26,10 @@ class _Floor(NamedTuple):
     grid: Grid
     ends: FloatArray
     """Users and, last, AP [E, K + 1, 3] [m]."""
+    aims: FloatArray
+    """What panels face between [E, ., 2] [m], see `Simulator.aims`."""
+    heading_rad: float
+    """Where they face instead, NaN if nowhere else."""
     blockers: SmallArray
     """Obstacles from there to the squares of the grid [E, K + 1, s]."""
     direct: FloatArray
@@ -35,7 +39,7 @@ class _Floor(NamedTuple):
     """λ of eq. (R)."""
 
 
-def _floor(simulator: Simulator) -> _Floor:
+def _floor(simulator: Simulator, heading_rad: float = math.nan) -> _Floor:
     """What predictions for the present scene follow from."""
     config, world, users_xy = simulator.config, simulator.world, simulator.scene.users_xy
     receivers = np.insert(users_xy, 2, world.config.user_height_m, -1)
@@ -45,6 +49,8 @@ def _floor(simulator: Simulator) -> _Floor:
         prediction.Arrays.of(config.radio),
         world.sight_map.grid,
         np.concatenate([receivers, simulator.ap_position[:, None]], 1),
+        simulator.aims(),
+        heading_rad,
         world.sight_map.blockers(users_xy),
         _direct_gains(simulator),
         world.config.panel_height_m,
@@ -69,11 +75,14 @@ def bare_values(simulator: Simulator) -> FloatArray:
     return penalised(rates, qos_bps, config.task.qos_penalty)
 
 
-def node_values(simulator: Simulator) -> FloatArray:
-    """`place_values` [E, n] [bit/s] at the nodes of `World.paths`, -inf where unreachable."""
+def node_values(simulator: Simulator, heading_rad: float = math.nan) -> FloatArray:
+    """`place_values` [E, n] [bit/s] at the nodes of `World.paths`, -inf where unreachable.
+
+    With a heading all panels face there, counter-clockwise from +x [rad].
+    """
     paths = simulator.world.paths
     reachable = np.resize(paths.reachable, (simulator.num_cells, len(paths.nodes)))
-    return _values(_floor(simulator), paths.nodes[None], reachable)
+    return _values(_floor(simulator, heading_rad), paths.nodes[None], reachable)
 
 
 def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArray, FloatArray]:
@@ -147,13 +156,16 @@ def _values(ground: _Floor, places: FloatArray, wanted: BoolArray) -> FloatArray
 def _link_gains(ground: _Floor, cell: int, places: FloatArray, gains: FloatArray) -> None:
     """Write the power gains of the links RIS–users and, last, AP–RIS to `gains` [K + 1, P], patterns included.
 
-    For a panel in a cell at `places` [P, 2] [m], which faces the bisector of AP and users.
+    For a panel in a cell at `places` [P, 2] [m].
     """
     ends, blockers = ground.ends[cell], ground.blockers[cell]
     x, y = places[:, 0].copy(), places[:, 1].copy()
     forward_x, forward_y = np.empty(len(x)), np.empty(len(x))
     squares, behind = np.empty(len(x), np.int64), np.empty(len(x))
-    links.bisectors(ends, x, y, forward_x, forward_y)
+    if math.isnan(ground.heading_rad):
+        links.bisectors(ground.aims[cell], x, y, forward_x, forward_y)
+    else:
+        forward_x[:], forward_y[:] = math.cos(ground.heading_rad), math.sin(ground.heading_rad)
     for p in range(len(x)):
         squares[p] = square(ground.grid, x[p], y[p])
     for end in range(len(ends)):

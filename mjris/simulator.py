@@ -220,13 +220,23 @@ class Simulator:
         return self.order
 
     def bisector(self, places: FloatArray) -> FloatArray:
-        """Where panels at `places` [E, 2] [m] should face: between the AP and the users' middle, [E] [rad]."""
-        return _bisectors(np.concatenate([self.world.crowd.xy, self.ap_position[:, None, :2]], 1), places)
+        """Where panels at `places` [E, 2] [m] should face: the bisector of `aims`, [E] [rad]."""
+        return _bisectors(self.aims(), places)
+
+    def aims(self) -> FloatArray:
+        """What panels face between [E, ., 2] [m]: users, or the room's middle for a fixed RIS, and, last, the AP."""
+        users = self.room_m[:, None] / 2 if self.config.task.ris == "fixed" else self.world.crowd.xy
+        return np.concatenate([users, self.ap_position[:, None, :2]], 1)
 
     def _face_panels(self, pan_rad: FloatArray | None = None) -> None:
-        if self.config.world.pan != "locked":
-            offset = np.zeros(self.num_cells) if pan_rad is None else pan_rad
-            self.world.fleet.face(self.bisector(self.world.fleet.xy) + offset)
+        if self.config.world.pan == "locked":
+            return
+        if self.config.task.ris == "fixed":
+            # Of where it was mounted, whatever little it has rolled since.
+            direction = self.bisector(np.broadcast_to(self.world.start, (self.num_cells, 2)))
+        else:
+            direction = self.bisector(self.world.fleet.xy) + (0 if pan_rad is None else pan_rad)
+        self.world.fleet.face(direction)
 
     def look(self) -> Scene:
         """See the scene anew after rovers or people were placed by hand, the panels turned to their bisectors."""
@@ -258,12 +268,12 @@ class Simulator:
 
 
 @compiled
-def _bisectors(ends: FloatArray, places: FloatArray) -> FloatArray:
-    """`Simulator.bisector` for users and AP at `ends` [E, K + 1, 2] [m]."""
+def _bisectors(aims: FloatArray, places: FloatArray) -> FloatArray:
+    """`Simulator.bisector` for `Simulator.aims`."""
     headings, x, y = np.empty(len(places)), places[:, 0].copy(), places[:, 1].copy()
     forward_x, forward_y = np.empty(len(x)), np.empty(len(x))
     for e in range(len(places)):
         own = slice(e, e + 1)
-        links.bisectors(ends[e], x[own], y[own], forward_x[own], forward_y[own])
+        links.bisectors(aims[e], x[own], y[own], forward_x[own], forward_y[own])
         headings[e] = math.atan2(forward_y[e], forward_x[e])
     return headings

@@ -13,7 +13,8 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mjris.config import Config, load, preset
-from mjris.eval.evaluate import gain_percent, play
+from mjris.eval.intervals import gain_percent
+from mjris.eval.playing import play
 from mjris.eval.policies import Policy, agent_policies, no_ris, planner, reference_controls
 from mjris.learn.policy import load_policy
 from mjris.learn.study import run_folder, train_missing
@@ -57,7 +58,7 @@ def rival_scores(config: Config, name: str, folder: Path, scenes: int, seed: int
 
     def judge() -> Scores:
         closed = reference_controls()
-        still = replace(closed, changes={**closed.changes, "ris": "fixed"})
+        still = replace(closed, changes={"task": {**closed.changes["task"], "ris": "fixed"}})
         rivals: dict[str, Policy] = dict(zip(RIVALS, (planner(seed), closed, still, no_ris()), strict=True))
         return _scores(config, rivals[name], scenes, seed)
 

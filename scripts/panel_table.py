@@ -16,7 +16,7 @@ import pandas as pd
 from reference_table import Judged, Study, command, finish, markdown_table, number, spread, standing, statistic
 from rich.progress import Progress
 
-from mjris.eval.evaluate import gain_percent
+from mjris.eval.intervals import gain_percent
 
 PANELS = tuple(itertools.product(("isotropic", "cosine"), ("auto", "locked")))
 """Element pattern and pan."""

@@ -24,7 +24,7 @@ from rich.progress import Progress
 
 from mjris.config import Config, ConfigError, preset
 from mjris.eval.bound import upper_bound
-from mjris.eval.evaluate import gain_percent, interval
+from mjris.eval.intervals import gain_percent, interval
 from mjris.eval.optimum import best_known, best_powers
 from mjris.eval.planner import best_places
 from mjris.eval.policies import parked, planned

@@ -6,6 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from mjris.config import ConfigError, preset
+from mjris.eval.checkpoints import Judged
 from mjris.show.curves import (
     plot_learning,
     plot_phases,
@@ -13,29 +14,29 @@ from mjris.show.curves import (
     running_mean,
     student_interval,
     track_phases,
+    training_gain,
 )
 from mjris.task import Task
 
 TABLE = pd.DataFrame(
     {
         "policy": ["learned", "fixed RIS", "no RIS, best powers", "planner", "upper bound"],
-        "sum_rate_mbps": [1.4, 1.2, 1.1, 1.5, 1.9],
-        "penalised_mbps": [1.0, 0.8, 0.7, 1.1, np.nan],
+        "gain_percent": [14.0, 3.0, 0.0, 21.0, 49.0],
     }
 )
 SLOTS, SEED = 2, 5
 
 
-def write_run(folder, rewards, config):
-    """A run folder with the rewards of its cells in every episode [T, U]; the sum rates are ten times that."""
+def write_run(folder, rates, config):
+    """A run folder with the sum rates of its cells in every episode [T, U]; without RIS they are 1, 2, 3, … in turn."""
     folder.mkdir()
     (folder / "config.json").write_text(config.to_json())
     rows = [
-        {"episode": episode, "cell": cell, "reward": reward, "sum_rate_mbps": 10 * reward}
-        for episode, cells in enumerate(rewards, 1)
-        for cell, reward in enumerate(cells)
+        {"episode": episode, "cell": cell, "sum_rate_mbps": rate, "bare_rate_mbps": episode}
+        for episode, cells in enumerate(rates, 1)
+        for cell, rate in enumerate(cells)
     ]
-    pd.DataFrame(rows, columns=["episode", "cell", "reward", "sum_rate_mbps"]).to_csv(folder / "metrics.csv")
+    pd.DataFrame(rows, columns=["episode", "cell", "sum_rate_mbps", "bare_rate_mbps"]).to_csv(folder / "metrics.csv")
     return folder
 
 
@@ -49,6 +50,13 @@ def runs(tmp_path):
 
 
 @pytest.fixture
+def judged():
+    """Two checkpoints of two runs on three scenes."""
+    bare = np.broadcast_to([1e6, 2e6, 3e6], (2, 2, 3))
+    return Judged(np.array([1, 2]), np.array([1.1, 1.4])[:, None, None] * bare, bare)
+
+
+@pytest.fixture
 def figures(monkeypatch):
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_: drawn.append(figure))
@@ -56,7 +64,7 @@ def figures(monkeypatch):
 
 
 def test_a_metric_is_the_mean_over_cells_of_the_episodes_that_all_runs_have(runs):
-    episodes, values = read_metric(runs, "reward")
+    episodes, values = read_metric(runs, "sum_rate_mbps")
     assert episodes.tolist() == [1, 2]
     np.testing.assert_allclose(values, [[2, 4], [5, 1]])
 
@@ -64,10 +72,27 @@ def test_a_metric_is_the_mean_over_cells_of_the_episodes_that_all_runs_have(runs
 def test_runs_without_episodes_are_one_sentence(runs, tmp_path):
     empty = write_run(tmp_path / "c", [], preset("office"))
     with pytest.raises(ConfigError, match=r"c/metrics\.csv: has no episodes: train for a round at least$"):
-        read_metric([*runs, empty], "reward")
+        read_metric([*runs, empty], "sum_rate_mbps")
     (empty / "metrics.csv").unlink()
     with pytest.raises(ConfigError, match=r"c/metrics\.csv: cannot be read: No such file or directory$"):
-        read_metric([*runs, empty], "reward")
+        read_metric([*runs, empty], "sum_rate_mbps")
+
+
+def test_runs_of_older_versions_are_one_sentence(runs):
+    file = runs[1] / "metrics.csv"
+    pd.read_csv(file).drop(columns="bare_rate_mbps").to_csv(file)
+    with pytest.raises(ConfigError) as error:
+        training_gain(runs)
+    assert str(error.value) == (
+        f"{file}: has no column bare_rate_mbps: the run is an older version's, and has to be trained anew"
+    )
+
+
+def test_the_gain_in_training_is_that_of_sums_over_the_window(runs):
+    episodes, gain = training_gain(runs)
+    assert episodes.tolist() == [1, 2]
+    # Rates are 2, 4 and 5, 1 in the mean over cells, and 1, 2 without RIS.
+    np.testing.assert_allclose(gain, [[100, 100], [400, 100]])
 
 
 @pytest.mark.parametrize(("count", "quantile"), [(2, 12.7062), (3, 4.30265), (5, 2.77645), (31, 2.04227)])
@@ -85,25 +110,20 @@ def test_the_running_mean_is_that_of_the_last_ones():
         np.testing.assert_allclose(running_mean(values, window), np.stack(slow, 1), atol=1e-12)
 
 
-def levels(axes):
-    return sorted(line.get_ydata()[0] for line in axes.lines[1:])
+def test_rivals_are_drawn_beside_the_checkpoints_that_saw_their_scenes(runs, judged, figures, tmp_path):
+    plot_learning(runs, judged, TABLE, tmp_path / "two.png")
+    training, held_out = figures[0].axes
+    (curve,) = training.lines
+    np.testing.assert_allclose(curve.get_ydata(), [250, 100])
+    *rivals, marks = [line for line in held_out.lines if len(set(line.get_xdata())) > 1 and line.get_marker() != "_"]
+    assert sorted(line.get_ydata()[0] for line in rivals) == [0, 3, 21]
+    np.testing.assert_allclose(marks.get_ydata(), [10, 40])
 
 
-def test_rivals_are_drawn_where_their_unit_is_the_curve_s(runs, figures, tmp_path):
-    plot_learning(runs, TABLE, tmp_path / "gain.png")
-    paper = write_run(tmp_path / "paper", [(1, 3)], preset("paper"))
-    plot_learning([paper], TABLE, tmp_path / "paper.png")
-    (rate, gain), (_, reward) = (figure.axes for figure in figures)
-    assert levels(rate) == [1.1, 1.2, 1.5]
-    assert levels(gain) == []
-    assert levels(reward) == [0.7, 0.8, 1.1]
-    np.testing.assert_allclose(rate.lines[0].get_ydata(), [35, 30])
-
-
-def test_a_band_is_drawn_over_seeds_only(runs, figures, tmp_path):
-    plot_learning(runs, TABLE, tmp_path / "two.png")
-    plot_learning(runs[:1], TABLE, tmp_path / "one.png")
-    assert [len(axes.collections) for figure in figures for axes in figure.axes] == [1, 1, 0, 0]
+def test_a_band_is_drawn_over_several_seeds_only(runs, judged, figures, tmp_path):
+    plot_learning(runs, judged, TABLE, tmp_path / "two.png")
+    plot_learning(runs[:1], judged, TABLE, tmp_path / "one.png")
+    assert [len(figure.axes[0].collections) for figure in figures] == [1, 0]
 
 
 def config(**task):
@@ -148,11 +168,11 @@ def test_phases_are_compared_with_the_aligned_ones_of_every_slot():
     assert np.abs(track.difference_rad).max() <= np.pi
 
 
-def test_figures_are_files(runs, tmp_path):
+def test_figures_are_files(runs, judged, tmp_path):
     made = config()
     size = Task(made).action_size
     track = track_phases(made, lambda observation: np.zeros((len(observation), size)), SEED)
     plot_phases(track, tmp_path / "phases.png")
-    plot_learning(runs, TABLE, tmp_path / "learning_curve.pdf")
+    plot_learning(runs, judged, TABLE, tmp_path / "learning_curve.pdf")
     assert (tmp_path / "phases.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "learning_curve.pdf").read_bytes().startswith(b"%PDF")

@@ -52,6 +52,19 @@ def test_a_place_behind_the_world_is_worth_what_the_direct_channel_is(simulator)
     np.testing.assert_allclose(bare_values(simulator), bare[:, 0], rtol=1e-12)
 
 
+def test_a_heading_takes_the_place_of_the_bisector(simulator):
+    world = simulator.world
+    nodes = world.paths.nodes
+    for node in (3, 150):
+        facing = simulator.bisector(np.tile(nodes[node], (3, 1)))
+        turned = node_values(simulator)[:, node]
+        for e in range(3):
+            assert node_values(simulator, facing[e])[e, node] == pytest.approx(turned[e], rel=1e-9)
+    away = math.atan2(*(nodes - simulator.ap_position[0, :2])[150, ::-1])
+    # The back of a panel with cosine elements reflects nothing.
+    np.testing.assert_allclose(node_values(simulator, away)[:, 150], bare_values(simulator), rtol=1e-9)
+
+
 def test_goals_promise_the_most_of_all_places_and_of_staying(simulator):
     goal, promised = best_goals(simulator, horizon_slots=12)
     paths, here = simulator.world.paths, simulator.world.fleet.xy

@@ -432,3 +432,24 @@ def test_phases_that_are_held_lose_and_updates_bring_it_back():
         gains.append(total[0] / total[1] - 1)
     assert gains[1] < gains[2]
     assert gains[1] < gains[0]
+
+
+@pytest.mark.parametrize("pan", ["auto", "action"])
+def test_a_fixed_panel_faces_the_room_for_good_and_a_turning_one_its_users(pan):
+    headings = {}
+    for ris in ("fixed", "turning"):
+        made = config(task=Task(ris=ris), layout="clinic")
+        simulator = Simulator(replace(made, world=replace(made.world, pan=pan, start_m=(7.0, 4.5))), 3)
+        rng, turn = np.random.default_rng(0), np.full(3, 0.3)
+        seen = [simulator.scene.panel_heading]
+        for _ in range(3):
+            _, phases, powers = inputs(simulator, rng, 3)
+            seen.append(
+                simulator.step(np.zeros((3, 2)), phases, powers, turn if pan == "action" else None).scene.panel_heading
+            )
+        headings[ris] = np.exp(1j * np.array(seen))
+    start = simulator.world.start
+    ap, middle = simulator.ap_position[0, :2], simulator.room_m[0] / 2
+    facing = (ap - start) / np.linalg.norm(ap - start) + (middle - start) / np.linalg.norm(middle - start)
+    np.testing.assert_allclose(headings["fixed"], complex(*facing) / np.linalg.norm(facing), atol=1e-9)
+    assert (np.abs(np.diff(headings["turning"], axis=0)) > 1e-6).all()

@@ -1,83 +1,23 @@
 """Policies on the same held-out scenes: sum rate and constraints, with 95 % intervals."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from rich import box
-from rich.table import Table
 
 from mjris.config import Config, ConfigError
 from mjris.constraints import NAMES
-from mjris.eval.bound import upper_bound
-from mjris.eval.optimum import best_powers
-from mjris.eval.policies import Act, Policy, agent_policies, no_ris, planner, reference_controls
-from mjris.radiomap import penalised
-from mjris.streams import CellId, Purpose, generator
-from mjris.task import Task
+from mjris.eval import parking
+from mjris.eval.intervals import gain_percent, interval
+from mjris.eval.playing import Played, play
+from mjris.eval.policies import Act, agent_policies, fixed_ris, no_ris, planner, reference_controls, reference_oma
+from mjris.streams import Purpose, generator
 
 FloatArray = NDArray[np.floating]
 
-_RESAMPLES = 4000
 _COUNTS = ("collisions", *(f"violated_{name}" for name in NAMES))
 _BOUND = "upper bound"
-
-
-@dataclass(frozen=True)
-class Played:
-    """One policy on S scenes."""
-
-    sum_rate_bps: FloatArray
-    """Mean over the slots of every scene [S] [bit/s]."""
-    bare_bps: FloatArray
-    """What the very same slots give without RIS and with the best powers known, [S] [bit/s]."""
-    value_bps: FloatArray
-    """The sum rate with the QoS penalty of eq. (R) [S] [bit/s]."""
-    qos_share: FloatArray
-    """Share of slots in which every user meets QoS [S]."""
-    collisions: int
-    clearance_m: float
-    """Smallest clearance of all scenes [m]."""
-    violations: Mapping[str, int]
-    """Slots of all scenes that broke each constraint, by its name."""
-    bound_bps: FloatArray
-    """Upper bound on the sum rate over the channels of these slots [S] [bit/s]; NaN where it was not asked for."""
-
-
-def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: bool = False) -> Played:
-    """One episode in each of `scenes` cells, all stepped together, with fading of their own; see `compare`."""
-    task_config, radio = replace(config.task, **policy.changes), replace(config.radio, difference_factor=1.0)
-    # Furniture follows from the scenes' seed, too: held-out scenes are not the cells of the training.
-    task = Task(replace(config, task=task_config, radio=radio), [CellId(seed, scene) for scene in range(scenes)])
-    simulator = task.simulator
-    rates, direct, bounds, met = [], [], [], []
-    collisions, clearance = 0, np.inf
-    violations = dict.fromkeys(NAMES, 0)
-    for _ in range(task_config.slots):
-        channels = simulator.scene.channels
-        slot = simulator.step(*policy.controls(task))
-        rates.append(slot.rates_bps)
-        direct.append(channels.direct)
-        bounds.append(upper_bound(channels, simulator.clusters, radio) if bounded else np.full(scenes, np.nan))
-        met.append(slot.qos_met.all(-1))
-        collisions += int(slot.collisions.sum())
-        clearance = min(clearance, float(slot.clearance_m.min()))
-        for name in NAMES:
-            violations[name] += int((~getattr(slot.constraints, name)).sum())
-    bare = np.stack(direct)
-    bare_rates = simulator.rates(bare, best_powers(bare, simulator.clusters, radio, task_config.qos_bps))
-    return Played(
-        sum_rate_bps=np.sum(rates, -1).mean(0),
-        bare_bps=bare_rates.sum(-1).mean(0),
-        value_bps=penalised(np.stack(rates), task_config.qos_bps, task_config.qos_penalty).mean(0),
-        qos_share=np.mean(met, 0),
-        collisions=collisions,
-        clearance_m=clearance,
-        violations=violations,
-        bound_bps=np.mean(bounds, 0),
-    )
 
 
 def compare(
@@ -89,6 +29,7 @@ def compare(
     furniture, where people start, how they mean to step, and fading. They are not the same to the last step, for people
     wait while a rover is in their way. The gain over no RIS is therefore judged within the slots that a policy played:
     its sum rate against that of the best powers known for the very same direct channels, resampled together by scenes.
+    The best-placed fixed RIS has found its spot (`x_m`, `y_m`, `heading_deg`) in other scenes, see `parking`.
 
     With the planner there are shares of its sum rate, and of the upper bound's: the mean of what no phases and powers
     could exceed for the channels along the planner's drive. It does not bound who drives elsewhere. Raises
@@ -98,10 +39,13 @@ def compare(
         raise ConfigError(f"scenes: {scenes} is not allowed: an interval needs at least 2")
     if seed < 0:
         raise ConfigError(f"scene_seed: {seed} is not allowed: it must be at least 0")
-    policies = [*agent_policies(act), reference_controls(), no_ris()]
+    report("places for a fixed RIS")
+    spot = parking.best_spot(config, seed)
+    oma = reference_oma() if config.radio.scheme == "noma" else []
+    parked = [fixed_ris(), parking.parked_at(spot)]
     rng = generator(seed, Purpose.RESAMPLING)
     rows = []
-    for policy in policies:
+    for policy in [*agent_policies(act), reference_controls(), *parked, *oma, no_ris()]:
         report(policy.name)
         rows.append(_row(policy.name, play(config, policy, scenes, seed), rng))
     if with_planner:
@@ -110,63 +54,12 @@ def compare(
         rows.append(_row("planner", planned, rng))
         rows.append(_rate_columns(_BOUND, planned.bound_bps, planned.bare_bps, rng))
     table = pd.DataFrame(rows).astype(dict.fromkeys(_COUNTS, "Int64"))
+    for name, value in spot._asdict().items():
+        table.loc[table["policy"] == parking.NAME, name] = value
     if with_planner:
         for column, row in (("percent_of_planner", -2), ("percent_of_bound", -1)):
             table[column] = 100 * table["sum_rate_mbps"] / table["sum_rate_mbps"].iloc[row]
     return table
-
-
-def interval(
-    statistic: Callable[..., FloatArray], *samples: FloatArray, rng: np.random.Generator
-) -> tuple[float, float]:
-    """95 % interval of a `statistic` of the means of `samples` [S], by the bootstrap: scenes are drawn together."""
-    chosen = rng.integers(len(samples[0]), size=(_RESAMPLES, len(samples[0])))
-    low, high = np.percentile(statistic(*(sample[chosen].mean(1) for sample in samples)), [2.5, 97.5])
-    return float(low), float(high)
-
-
-def gain_percent(mean: FloatArray, bare: FloatArray) -> FloatArray:
-    """By how much one mean exceeds another [%]."""
-    return 100 * (mean / bare - 1)
-
-
-def as_text(table: pd.DataFrame) -> Table:
-    """The comparison as a table for the console, at most 120 columns wide."""
-    shares = [name for name in ("planner", "bound") if f"percent_of_{name}" in table]
-    caption = "over no RIS: against the best powers known for the same slots"
-    if shares:
-        caption += "; bound: of the slots along the planner's drive"
-    title = f"{table.scenes[0]} held-out scenes, means and 95 % intervals"
-    shown = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    shown.add_column("policy", overflow="fold")
-    for heading in (
-        "sum rate\n\\[Mb/s]",
-        "over no RIS\n\\[%]",
-        "penalised\n\\[Mb/s]",
-        "QoS\nmet",
-        *(f"% of\n{name}" for name in shares),
-        "broken\nslots",
-        "clearance\n\\[m]",
-    ):
-        shown.add_column(heading, justify="right", overflow="fold")
-    for row in table.to_dict("records"):
-        played = row["policy"] != _BOUND
-        shown.add_row(
-            row["policy"],
-            f"{row['sum_rate_mbps']:.3f} ({row['sum_rate_low']:.2f}…{row['sum_rate_high']:.2f})",
-            f"{row['gain_percent']:+.1f} ({row['gain_low']:+.1f}…{row['gain_high']:+.1f})",
-            f"{row['penalised_mbps']:.3f}" if played else "",
-            f"{row['qos_share']:.1%}" if played else "",
-            *(f"{row[f'percent_of_{name}']:.1f}" for name in shares),
-            str(sum(row[name] for name in broken_columns())) if played else "",
-            f"{row['clearance_m']:.3f}" if played else "",
-        )
-    return shown
-
-
-def broken_columns() -> list[str]:
-    """Columns that count slots with a broken constraint; but for QoS, which has a column of its own."""
-    return [f"violated_{name}" for name in NAMES if name != "qos"]
 
 
 def _row(name: str, result: Played, rng: np.random.Generator) -> dict[str, float | int | str]:
@@ -174,6 +67,10 @@ def _row(name: str, result: Played, rng: np.random.Generator) -> dict[str, float
         **_rate_columns(name, result.sum_rate_bps, result.bare_bps, rng),
         "penalised_mbps": result.value_bps.mean() / 1e6,
         "qos_share": result.qos_share.mean(),
+        "user_qos_share": result.user_qos_share.mean(),
+        "user_rate_p5_mbps": result.user_rate_p5_bps.mean() / 1e6,
+        "jain": result.jain.mean(),
+        "superposing_share": result.superposing_share.mean(),
         "collisions": result.collisions,
         "clearance_m": result.clearance_m,
         **{f"violated_{constraint}": count for constraint, count in result.violations.items()},

@@ -1,11 +1,14 @@
 """What is put on trial: an agent and its variants, and rivals that need no learning."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjris.config import Config
 from mjris.eval.optimum import best_known, best_powers
 from mjris.radiomap import best_goals
 from mjris.scene import Controls
@@ -21,13 +24,18 @@ Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 
 @dataclass(frozen=True)
 class Policy:
-    """What decides in every slot, and what it changes in the task that it plays."""
+    """What decides in every slot, and what it changes in the config that it plays."""
 
     name: str
     controls: Callable[[Task], Controls]
     """What to do in the present slot; called once a slot."""
-    changes: Mapping[str, str]
-    """Fields of the config's task."""
+    changes: Mapping[str, Mapping[str, Any]]
+    """Fields of the config, by section."""
+
+    def changed(self, config: Config) -> Config:
+        """The config with the changes. Raises `ConfigError` where a value is not allowed."""
+        sections = {name: replace(getattr(config, name), **fields) for name, fields in self.changes.items()}
+        return replace(config, **sections)
 
 
 def agent_policies(act: Act) -> list[Policy]:
@@ -37,20 +45,44 @@ def agent_policies(act: Act) -> list[Policy]:
         return task.decode(np.asarray(act(task.observe()), np.float64))
 
     return [
-        Policy("learned", controls, {"ris": "mobile", "phases": "learned"}),
-        Policy("fixed RIS", controls, {"ris": "fixed", "phases": "learned"}),
-        Policy("random phases", controls, {"ris": "mobile", "phases": "random"}),
-        Policy("no RIS", controls, {"ris": "none", "phases": "learned"}),
+        Policy(name, controls, {"task": {"ris": ris, "phases": phases}})
+        for name, ris, phases in (
+            ("learned", "mobile", "learned"),
+            ("fixed RIS", "fixed", "learned"),
+            ("fixed RIS, panel turns", "turning", "learned"),
+            ("random phases", "mobile", "random"),
+            ("no RIS", "none", "learned"),
+        )
     ]
 
 
 def reference_controls() -> Policy:
     """Action zero: what the task's closed forms do by themselves, so that the rest is what learning adds."""
+    return Policy("reference controls", _action_zero, {"task": {"ris": "mobile", "phases": "learned"}})
 
-    def controls(task: Task) -> Controls:
-        return task.decode(np.zeros((task.simulator.num_cells, task.action_size)))
 
-    return Policy("reference controls", controls, {"ris": "mobile", "phases": "learned"})
+def reference_oma() -> list[Policy]:
+    """The same with OMA, which serves every user."""
+    reference = reference_controls()
+    return [
+        Policy(f"{reference.name}, {words}", _action_zero, {**reference.changes, "radio": radio})
+        for words, radio in (("OMA", {"scheme": "oma"}),)
+    ]
+
+
+def fixed_ris(name: str = "closed forms, fixed RIS", world: Mapping[str, Any] = MappingProxyType({})) -> Policy:
+    """A RIS that neither drives nor turns, with closed-form phases and powers whatever the task has for actions.
+
+    It stands where `world` says, fields of the config, or where every episode starts.
+    """
+    closed = {"phases": "learned", "phase_control": "weights", "power_reference": "qos"}
+    # Nobody observes or drives: what a map shows, and what wheels do, would be worked out in vain.
+    task = {"ris": "fixed", "observation": "csi", **closed}
+    return Policy(name, _action_zero, {"task": task, "world": {"drive": "kinematic", **world}})
+
+
+def _action_zero(task: Task) -> Controls:
+    return task.decode(np.zeros((task.simulator.num_cells, task.action_size)))
 
 
 def no_ris() -> Policy:
@@ -61,7 +93,7 @@ def no_ris() -> Policy:
         powers = best_powers(simulator.scene.channels.direct, simulator.clusters, config.radio, config.task.qos_bps)
         return Controls(parked(simulator), np.zeros((simulator.num_cells, config.radio.num_elements)), powers)
 
-    return Policy("no RIS, best powers", controls, {"ris": "none"})
+    return Policy("no RIS, best powers", controls, {"task": {"ris": "none"}})
 
 
 def planner(seed: int) -> Policy:
@@ -76,7 +108,7 @@ def planner(seed: int) -> Policy:
         best = best_known(simulator.scene.channels, simulator.clusters, config.radio, config.task.qos_bps, rng)
         return Controls(planned(simulator), best.phases_rad, best.powers_w)
 
-    return Policy("planner", controls, {"ris": "mobile"})
+    return Policy("planner", controls, {"task": {"ris": "mobile"}})
 
 
 def planned(simulator: Simulator) -> FloatArray:

@@ -1,7 +1,7 @@
-"""Curves over time: learning over the episodes of several seeds, and an episode's phases against the aligned ones."""
+"""Curves over time: gains over the episodes of several seeds, and an episode's phases against the aligned ones."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,13 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy import stats
 
-from mjris.config import Config, ConfigError, load
+from mjris.config import Config, ConfigError
+from mjris.eval.checkpoints import Judged
+from mjris.eval.intervals import gain_percent, interval
+from mjris.eval.playing import independent
 from mjris.eval.policies import Act, agent_policies
 from mjris.show.palette import RANDOM, RIVALS, STOPS
+from mjris.streams import Purpose, generator
 from mjris.task import Task
 
 FloatArray = NDArray[np.floating]
@@ -24,7 +28,7 @@ IntArray = NDArray[np.integer]
 
 _WIDTH_IN = 3.5
 """Half a page."""
-_STYLE: dict[Any, Any] = {"font.size": 7, "axes.linewidth": 0.6}
+_STYLE: dict[Any, Any] = {"font.size": 7, "axes.titlesize": 7, "axes.linewidth": 0.6}
 _WINDOW = 10
 """Episodes of the running mean."""
 _SCENES = 16
@@ -44,34 +48,44 @@ class PhaseTrack:
     """The same for random phases [T, S] [dB]."""
 
 
-def plot_learning(runs: Sequence[Path], table: pd.DataFrame, path: Path) -> None:
-    """Write sum rate and reward over the episodes of run folders, as a PNG or PDF file.
+def plot_learning(runs: Sequence[Path], judged: Judged, table: pd.DataFrame, path: Path) -> None:
+    """Write the gain over no RIS by episode, as a PNG or PDF file: in training, and of checkpoints on held-out scenes.
 
-    Shown are means over cells and seeds, smoothed by a running mean, with the 95 % interval over seeds where there are
-    several, and the rivals of an evaluation `table` where the unit is theirs. Raises `ConfigError` as `read_metric`.
+    Scenes differ between the two panels, and are the same within the second: its lines are the rivals of an evaluation
+    `table`. Shown are means over cells and seeds with 95 % intervals: over seeds in training, where there are several,
+    and over scenes and seeds for checkpoints. Raises `ConfigError` as `read_metric`.
     """
-    task = load(runs[0] / "config.json").task
-    penalised = task.reward == "sum_rate" and task.map_potential == 0
     with rc_context(_STYLE):
-        figure = Figure(figsize=(_WIDTH_IN, 3.6), dpi=300, layout="compressed")
+        figure = Figure(figsize=(_WIDTH_IN, 4.2), dpi=300, layout="compressed")
         above, below = figure.subplots(2, sharex=True)
-        _draw_curve(above, *read_metric(runs, "sum_rate_mbps"))
-        _draw_rivals(above, table, "sum_rate_mbps")
-        _draw_curve(below, *read_metric(runs, "reward"))
-        if penalised:
-            _draw_rivals(below, table, "penalised_mbps")
-        above.set_ylabel("sum rate [Mb/s]")
-        below.set(xlabel="episode", ylabel="reward [Mb/s]")
+        _draw_training(above, *training_gain(runs))
+        _draw_rivals(below, table)
+        _draw_checkpoints(below, judged)
+        above.set_title(f"training: other scenes in every episode, mean of the last {_WINDOW}")
+        below.set_title(f"checkpoints and rivals: the same {judged.bare_bps.shape[-1]} held-out scenes")
+        for axes in (above, below):
+            axes.set_ylabel("over no RIS,\nin the same slots [%]")
+        below.set_xlabel("episode")
         below.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-        handles, _ = above.get_legend_handles_labels()
-        figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False, handlelength=3)
+        figure.legend(loc="outside lower center", ncols=2, frameon=False, handlelength=3)
         figure.savefig(path)
+
+
+def training_gain(runs: Sequence[Path]) -> tuple[IntArray, FloatArray]:
+    """Episodes [T] of S run folders, and the gain of running means over no RIS in the same slots [S, T] [%].
+
+    Raises `ConfigError` as `read_metric`.
+    """
+    episodes, rate = read_metric(runs, "sum_rate_mbps")
+    _, bare = read_metric(runs, "bare_rate_mbps")
+    return episodes, gain_percent(running_mean(rate), running_mean(bare))
 
 
 def read_metric(runs: Sequence[Path], metric: str) -> tuple[IntArray, FloatArray]:
     """Episodes [T] of the metrics.csv of S run folders, and means over the cells of one of its columns [S, T].
 
-    Episodes that not all runs have are left out. Raises `ConfigError` for a file that cannot be read or has no rows.
+    Episodes that not all runs have are left out. Raises `ConfigError` for a file that cannot be read, or has no rows or
+    no such column.
     """
     curves = []
     for run in runs:
@@ -82,6 +96,10 @@ def read_metric(runs: Sequence[Path], metric: str) -> tuple[IntArray, FloatArray
             raise ConfigError(f"{file}: cannot be read: {getattr(error, 'strerror', error)}") from None
         if rows.empty:
             raise ConfigError(f"{file}: has no episodes: train for a round at least")
+        if metric not in rows:
+            raise ConfigError(
+                f"{file}: has no column {metric}: the run is an older version's, and has to be trained anew"
+            )
         curves.append(rows.groupby("episode")[metric].mean())
     together = pd.concat(curves, axis=1, join="inner")
     return together.index.to_numpy(), together.to_numpy().T
@@ -104,8 +122,7 @@ def student_interval(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
 def track_phases(config: Config, act: Act, seed: int) -> PhaseTrack:
     """The phases of an agent in an episode of some scenes, all stepped together, which follow from `seed`."""
     policy = agent_policies(act)[0]
-    radio = replace(config.radio, difference_factor=1.0)
-    task = Task(replace(config, task=replace(config.task, **policy.changes), radio=radio), cells=_SCENES)
+    task = Task(independent(policy.changed(config)), cells=_SCENES)
     task.reset(seed)
     simulator = task.simulator
     differences, gains = [], []
@@ -152,21 +169,32 @@ def plot_phases(track: PhaseTrack, path: Path) -> None:
         figure.savefig(path)
 
 
-def _draw_curve(axes: Axes, episodes: IntArray, values: FloatArray) -> None:
-    """The running mean of `values` [S, T], with the interval over seeds where there are several."""
-    smooth = running_mean(values)
-    several = len(smooth) > 1
-    words = f"training, {len(smooth)} seeds, 95 % interval" if several else "training"
-    axes.plot(episodes, smooth.mean(0), color=STOPS, lw=1.4, label=words, zorder=3)
+def _draw_training(axes: Axes, episodes: IntArray, gains: FloatArray) -> None:
+    """The mean of `gains` [S, T], with the interval over seeds where there are several."""
+    several = len(gains) > 1
+    words = f"training, {len(gains)} seeds" if several else "training"
+    axes.plot(episodes, gains.mean(0), color=STOPS, lw=1.4, label=words)
     if several:
-        axes.fill_between(episodes, *student_interval(smooth), color=STOPS, alpha=0.25, lw=0)
+        axes.fill_between(episodes, *student_interval(gains), color=STOPS, alpha=0.25, lw=0)
 
 
-def _draw_rivals(axes: Axes, table: pd.DataFrame, column: str) -> None:
-    values = dict(zip(table["policy"], table[column], strict=True))
+def _draw_checkpoints(axes: Axes, judged: Judged) -> None:
+    """The gains of checkpoints, with intervals over scenes and seeds."""
+    rng = generator(0, Purpose.RESAMPLING)
+    rates, bare = judged.sum_rate_bps, judged.bare_bps
+    gains = gain_percent(rates.mean((1, 2)), bare.mean((1, 2)))
+    ends = [interval(gain_percent, *samples, rng=rng) for samples in zip(rates, bare, strict=True)]
+    low, high = np.transpose(ends)
+    error = (gains - low, high - gains)
+    style: dict[str, Any] = {"color": STOPS, "lw": 1.4, "marker": "o", "ms": 3, "capsize": 2, "elinewidth": 0.8}
+    axes.errorbar(judged.episodes, gains, error, label="checkpoints", zorder=3, **style)
+
+
+def _draw_rivals(axes: Axes, table: pd.DataFrame) -> None:
+    gains = dict(zip(table["policy"], table["gain_percent"], strict=True))
     for name, (colour, style) in RIVALS.items():
-        if name in values:
-            axes.axhline(values[name], color=colour, ls=style, lw=1.0, label=name)
+        if name in gains:
+            axes.axhline(gains[name], color=colour, ls=style, lw=1.0, label=name)
 
 
 def _draw_spread(axes: Axes, values: FloatArray, colour: str, style: str) -> None:

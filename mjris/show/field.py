@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.eval.floormap import FloorMap, floor_map
+from mjris.eval.playing import independent
 from mjris.eval.policies import Act, agent_policies
 from mjris.show.maps import draw_furniture
 from mjris.show.palette import user_colour
@@ -55,12 +56,7 @@ def motion_field(config: Config, act: Act, seed: int) -> MotionField:
     of one simulator many times.
     """
     policy = agent_policies(act)[0]
-    still = replace(
-        config,
-        world=replace(config.world, layout_jitter_m=0.0),
-        radio=replace(config.radio, difference_factor=1.0),
-        task=replace(config.task, **policy.changes),
-    )
+    still = independent(policy.changed(replace(config, world=replace(config.world, layout_jitter_m=0.0))))
     cell = CellId(seed, 0)
     alone = Simulator(still, [cell])
     places = reachable_places(alone.world)

@@ -11,6 +11,7 @@ USERS = ("#d6409f", "#56b4e9", "#9c5a2a", "#7a5bd0", "#e0cf1f", "#f2f2f2")
 RIVALS = {
     "planner": ("#000000", "--"),
     "reference controls": ("#009e73", "-."),
+    "best-placed fixed RIS": ("#cc79a7", (0, (8, 2))),
     "fixed RIS": ("#d55e00", (0, (5, 1, 1, 1, 1, 1))),
     "no RIS, best powers": ("#7f7f7f", ":"),
 }

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from mjris.assets import assets_dir
 from mjris.config import Config
-from mjris.eval.evaluate import gain_percent, interval, play
+from mjris.eval.intervals import gain_percent, interval
+from mjris.eval.playing import play
 from mjris.eval.policies import reference_controls
 from mjris.learn.study import run_folder
 from mjris.show.curves import student_interval
@@ -126,7 +127,7 @@ def headline(config: Config, scenes: int, runs: Path) -> Scores:
             ("none", "none", "noma"),
             ("OMA", "mobile", "oma"),
         ):
-            policy = replace(closed, changes={**closed.changes, "ris": ris})
+            policy = replace(closed, changes={"task": {**closed.changes["task"], "ris": ris}})
             own = replace(config, radio=replace(config.radio, scheme=scheme))
             rates[name] = play(own, policy, scenes, SCENE_SEED).sum_rate_bps
         pairs = dict(zip(GAINS, (("mobile", "none"), ("fixed", "none"), ("mobile", "OMA")), strict=True))
