@@ -49,7 +49,7 @@ def _floor(simulator: Simulator, heading_rad: float = math.nan) -> _Floor:
         prediction.Arrays.of(config.radio),
         world.sight_map.grid,
         np.concatenate([receivers, simulator.ap_position[:, None]], 1),
-        simulator.aims(),
+        simulator.aims(users_xy),
         heading_rad,
         world.sight_map.blockers(users_xy),
         _direct_gains(simulator),

@@ -65,8 +65,6 @@ class Slot:
     """[E, K]"""
     bare_rates_bps: FloatArray
     """What the same slot gives without RIS under the reference powers, in the order of its gains [E, K] [bit/s]."""
-    powers_w: FloatArray
-    """What was transmitted to each user as the slot began [E, K] [W]."""
     directs: tuple[ComplexArray, ...]
     """h_d [E, K, M] of every part of the slot, in which rates are means: one unless phases are held."""
     displacement_m: FloatArray

@@ -129,7 +129,6 @@ class Simulator:
             rates_bps=sent.rates_bps,
             qos_met=sent.rates_bps >= self.config.task.qos_bps,
             bare_rates_bps=sent.bare_rates_bps,
-            powers_w=powers_w,
             directs=sent.directs,
             displacement_m=self.world.fleet.xy - before,
             clearance_m=motion.clearance_m,
@@ -221,12 +220,12 @@ class Simulator:
 
     def bisector(self, places: FloatArray) -> FloatArray:
         """Where panels at `places` [E, 2] [m] should face: the bisector of `aims`, [E] [rad]."""
-        return _bisectors(self.aims(), places)
+        return _bisectors(self.aims(self.world.crowd.xy), places)
 
-    def aims(self) -> FloatArray:
+    def aims(self, users_xy: FloatArray) -> FloatArray:
         """What panels face between [E, ., 2] [m]: users, or the room's middle for a fixed RIS, and, last, the AP."""
-        users = self.room_m[:, None] / 2 if self.config.task.ris == "fixed" else self.world.crowd.xy
-        return np.concatenate([users, self.ap_position[:, None, :2]], 1)
+        users_xy = self.room_m[:, None] / 2 if self.config.task.ris == "fixed" else users_xy
+        return np.concatenate([users_xy, self.ap_position[:, None, :2]], 1)
 
     def _face_panels(self, pan_rad: FloatArray | None = None) -> None:
         if self.config.world.pan == "locked":

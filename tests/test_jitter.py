@@ -3,7 +3,7 @@ import pytest
 
 from mjris.config import Config, World
 from mjris.simulator import Simulator
-from mjris.streams import CellId
+from mjris.streams import first_cells
 from mjris.world.jitter import jittered
 from mjris.world.layout import layout_names, load_layout
 from mjris.world.layout_checks import check_layout
@@ -47,11 +47,11 @@ def test_cells_differ_and_follow_from_their_numbers():
     world = Simulator(config, cells=3).world
     layouts = [world.office(e).layout for e in range(3)]
     assert layouts[0] != layouts[1] != layouts[2] != layouts[0]
-    assert Simulator(config, [CellId(config.named_seed, 2)]).world.office(0).layout == layouts[2]
+    assert Simulator(config, [first_cells(config, 3)[2]]).world.office(0).layout == layouts[2]
 
 
 def test_jittered_cells_see_their_own_furniture():
     config = Config(world=World(layout="open", layout_jitter_m=DISTANCE_M, drive="kinematic"))
     together = Simulator(config, cells=3).scene.blockers
-    alone = np.concatenate([Simulator(config, [CellId(config.named_seed, e)]).scene.blockers for e in range(3)])
+    alone = np.concatenate([Simulator(config, [first_cells(config, 3)[e]]).scene.blockers for e in range(3)])
     np.testing.assert_array_equal(together, alone)

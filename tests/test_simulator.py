@@ -7,7 +7,9 @@ import pytest
 
 from mjris.config import Config, Radio, Task, World
 from mjris.radio import access, serving
-from mjris.simulator import CellId, Simulator, Slot
+from mjris.scene import Slot
+from mjris.simulator import Simulator
+from mjris.streams import first_cells
 
 
 def config(drive: str = "kinematic", task: Task | None = None, layout: str = "office", **radio) -> Config:
@@ -54,7 +56,7 @@ def assert_cells_alone_give_the_same(settings: Config, tolerance: float) -> None
     commands = [inputs(together, rng, 3) for _ in range(8)]
     slots = [together.step(*command) for command in commands]
     for cell in range(3):
-        single = Simulator(settings, [CellId(settings.named_seed, cell)])
+        single = Simulator(settings, [first_cells(settings, 3)[cell]])
         for slot, command in zip(slots, commands, strict=True):
             move, phases, powers = (part[cell : cell + 1] for part in command)
             assert_same(slot, single.step(move, phases, powers), cell, tolerance)

@@ -147,7 +147,7 @@ def best_known(
         phases[slots] = tried[:, 0]
         return score[:, 0] >= 0
 
-    flat = None if order is None else torch.as_tensor(order).reshape(-1, *clusters.shape)
+    flat = _given(order, clusters)
     problem = _Problem(torch.as_tensor(clusters), radio, qos_bps, flat)
     met = torch.zeros(len(phases), dtype=torch.bool)
     for slots in filter(len, torch.nonzero(_may_meet_qos(problem, links))[:, 0].split(_SLOTS)):
@@ -173,8 +173,7 @@ def best_powers(
     to where it gives the highest sum rate; with OMA only if its scheduler selects users. `order` as in `best_known`.
     """
     channel = torch.as_tensor(effective).reshape(-1, *effective.shape[-2:])
-    given = None if order is None else torch.as_tensor(order).reshape(-1, *clusters.shape)
-    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps, given)
+    problem = _Problem(torch.as_tensor(clusters), radio, qos_bps, _given(order, clusters))
     budgets, score = _best_budgets(problem, channel)
     if radio.scheme == "oma":
         powers = torch.full(channel.shape[:-1], radio.tx_power_w / channel.shape[-2], dtype=torch.float64)
@@ -188,6 +187,13 @@ def best_powers(
             score = torch.where(_merit(problem, channel, budgets)[0] >= sum_rate, 0.0, score)
         powers = torch.where((score >= 0)[..., None], powers, _qos_first(alone, channel, unserved_budgets))
     return powers.reshape(effective.shape[:-1]).numpy()
+
+
+def _given(order: IntArray | None, clusters: IntArray) -> Tensor | None:
+    """Decoding orders [B, V, K/V], None where no slot has one of its own."""
+    if order is None or (order < 0).all():
+        return None
+    return torch.as_tensor(order).reshape(-1, *clusters.shape)
 
 
 def _may_meet_qos(problem: _Problem, links: Channels) -> Tensor:

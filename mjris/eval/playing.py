@@ -68,18 +68,21 @@ def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: boo
         slot = simulator.step(*controls)
         rates.append(slot.rates_bps)
         powers.append(controls.powers_w)
-        direct.append(channels.direct)
+        direct.append(slot.directs)
         bounds.append(upper_bound(channels, simulator.clusters, radio) if bounded else np.full(scenes, np.nan))
         met.append(slot.qos_met.all(-1))
         collisions += int(slot.collisions.sum())
         clearance = min(clearance, float(slot.clearance_m.min()))
         for name in NAMES:
             violations[name] += int((~getattr(slot.constraints, name)).sum())
-    bare, served = np.stack(direct), np.stack(rates)
-    bare_rates = simulator.rates(bare, best_powers(bare, simulator.clusters, radio, qos_bps))
+    # Slots, and their parts where phases and powers are held; then powers without RIS are, too.
+    bare, served = np.array(direct), np.stack(rates)
+    hold = bare.shape[1] // max(config.task.phase_updates_per_slot, 1)
+    bare_powers = best_powers(bare[:, ::hold], simulator.clusters, radio, qos_bps).repeat(hold, 1)
+    bare_rates = simulator.rates(bare, bare_powers)
     return Played(
         sum_rate_bps=served.sum(-1).mean(0),
-        bare_bps=bare_rates.sum(-1).mean(0),
+        bare_bps=bare_rates.sum(-1).mean((0, 1)),
         value_bps=penalised(served, qos_bps, config.task.qos_penalty).mean(0),
         qos_share=np.mean(met, 0),
         user_qos_share=fairness.user_qos_share(served, qos_bps),

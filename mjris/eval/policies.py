@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.eval.optimum import best_known, best_powers
+from mjris.radio.channel import Channels
 from mjris.radiomap import best_goals
 from mjris.scene import Controls
 from mjris.simulator import Simulator
@@ -62,11 +63,14 @@ def reference_controls() -> Policy:
 
 
 def reference_oma() -> list[Policy]:
-    """The same with OMA, which serves every user."""
+    """The same with OMA: serving every user, and with a scheduler that may select them as NOMA's powers do."""
     reference = reference_controls()
     return [
         Policy(f"{reference.name}, {words}", _action_zero, {**reference.changes, "radio": radio})
-        for words, radio in (("OMA", {"scheme": "oma"}),)
+        for words, radio in (
+            ("OMA", {"scheme": "oma"}),
+            ("OMA that selects users", {"scheme": "oma", "oma_selection": True}),
+        )
     ]
 
 
@@ -86,12 +90,17 @@ def _action_zero(task: Task) -> Controls:
 
 
 def no_ris() -> Policy:
-    """No RIS, and the best powers known."""
+    """No RIS, and the best powers known for users who are decoded in the order that they are."""
 
     def controls(task: Task) -> Controls:
         config, simulator = task.config, task.simulator
-        powers = best_powers(simulator.scene.channels.direct, simulator.clusters, config.radio, config.task.qos_bps)
-        return Controls(parked(simulator), np.zeros((simulator.num_cells, config.radio.num_elements)), powers)
+
+        def tune(channels: Channels) -> tuple[FloatArray, FloatArray]:
+            qos_bps, order = config.task.qos_bps, simulator.order
+            powers = best_powers(channels.direct, simulator.clusters, config.radio, qos_bps, order)
+            return np.zeros((simulator.num_cells, config.radio.num_elements)), powers
+
+        return Controls(parked(simulator), *tune(simulator.scene.channels), retune=tune)
 
     return Policy("no RIS, best powers", controls, {"task": {"ris": "none"}})
 
@@ -99,14 +108,19 @@ def no_ris() -> Policy:
 def planner(seed: int) -> Policy:
     """The planner's drive, and the best phases and powers known in every slot; random starts follow from `seed`.
 
-    They are the best for users decoded in the order of the slot's gains, and may not be with a static order.
+    They are the best for users who are decoded in the order that they are.
     """
     rng = generator(seed, Purpose.SEARCH)
 
     def controls(task: Task) -> Controls:
         config, simulator = task.config, task.simulator
-        best = best_known(simulator.scene.channels, simulator.clusters, config.radio, config.task.qos_bps, rng)
-        return Controls(planned(simulator), best.phases_rad, best.powers_w)
+
+        def tune(channels: Channels) -> tuple[FloatArray, FloatArray]:
+            qos_bps, order = config.task.qos_bps, simulator.order
+            best = best_known(channels, simulator.clusters, config.radio, qos_bps, rng, order)
+            return best.phases_rad, best.powers_w
+
+        return Controls(planned(simulator), *tune(simulator.scene.channels), retune=tune)
 
     return Policy("planner", controls, {"task": {"ris": "mobile"}})
 
