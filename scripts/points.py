@@ -33,7 +33,7 @@ def point(rows: pd.DataFrame, rng: np.random.Generator) -> dict[str, Any]:
         "gain_percent", gain_percent, by_scene(rows, "sum_rate_mbps"), by_scene(rows, "bare_mbps"), rng=rng
     )
     if "collisions" in rows:
-        found |= {"collisions": rows["collisions"].sum(), "clearance_m": rows["clearance_m"].min()}
+        found |= {"collisions": rows["collisions"].sum(min_count=1), "clearance_m": rows["clearance_m"].min()}
     return found | {name: _commits(rows[name]) for name in ("trained", "judged") if name in rows}
 
 
