@@ -41,7 +41,7 @@ def compare(
         raise ConfigError(f"scene_seed: {seed} is not allowed: it must be at least 0")
     report("places for a fixed RIS")
     spot = parking.best_spot(config, seed)
-    oma = [reference_oma()] if config.radio.scheme == "noma" else []
+    oma = reference_oma() if config.radio.scheme == "noma" else []
     parked = [fixed_ris(), parking.parked_at(spot)]
     rng = generator(seed, Purpose.RESAMPLING)
     rows = []

@@ -60,10 +60,13 @@ def reference_controls() -> Policy:
     return Policy("reference controls", _action_zero, {"task": {"ris": "mobile", "phases": "learned"}})
 
 
-def reference_oma() -> Policy:
+def reference_oma() -> list[Policy]:
     """The same with OMA, which serves every user."""
     reference = reference_controls()
-    return Policy(f"{reference.name}, OMA", _action_zero, {**reference.changes, "radio": {"scheme": "oma"}})
+    return [
+        Policy(f"{reference.name}, {words}", _action_zero, {**reference.changes, "radio": radio})
+        for words, radio in (("OMA", {"scheme": "oma"}),)
+    ]
 
 
 def fixed_ris(name: str = "closed forms, fixed RIS", world: Mapping[str, Any] = MappingProxyType({})) -> Policy:
@@ -72,8 +75,9 @@ def fixed_ris(name: str = "closed forms, fixed RIS", world: Mapping[str, Any] = 
     It stands where `world` says, fields of the config, or where every episode starts.
     """
     closed = {"phases": "learned", "phase_control": "weights", "power_reference": "qos"}
-    # Nobody observes anything, and what a map shows would have to be worked out.
-    return Policy(name, _action_zero, {"task": {"ris": "fixed", "observation": "csi", **closed}, "world": world})
+    # Nobody observes or drives: what a map shows, and what wheels do, would be worked out in vain.
+    task = {"ris": "fixed", "observation": "csi", **closed}
+    return Policy(name, _action_zero, {"task": task, "world": {"drive": "kinematic", **world}})
 
 
 def _action_zero(task: Task) -> Controls:

@@ -41,7 +41,7 @@ def rate_table(table: pd.DataFrame) -> Table:
 
 def fairness_table(table: pd.DataFrame) -> Table:
     """Who gets the rate, of the same rows but the bound."""
-    caption = "low rate: 5th percentile over a scene's users and slots; Jain's index: of the users of a slot"
+    caption = "low rate: 5th percentile of a scene's users and slots; Jain's: of a slot's users"
     shown = _table("Who gets the rate, means over scenes", caption)
     for heading in (
         "sum rate\n\\[Mb/s]",

@@ -28,7 +28,7 @@ IntArray = NDArray[np.integer]
 
 _WIDTH_IN = 3.5
 """Half a page."""
-_STYLE: dict[Any, Any] = {"font.size": 7, "axes.linewidth": 0.6}
+_STYLE: dict[Any, Any] = {"font.size": 7, "axes.titlesize": 7, "axes.linewidth": 0.6}
 _WINDOW = 10
 """Episodes of the running mean."""
 _SCENES = 16
@@ -61,8 +61,8 @@ def plot_learning(runs: Sequence[Path], judged: Judged, table: pd.DataFrame, pat
         _draw_training(above, *training_gain(runs))
         _draw_rivals(below, table)
         _draw_checkpoints(below, judged)
-        above.set_title(f"training: scenes change, running mean of {_WINDOW} episodes")
-        below.set_title(f"{judged.bare_bps.shape[-1]} held-out scenes, always the same")
+        above.set_title(f"training: other scenes in every episode, mean of the last {_WINDOW}")
+        below.set_title(f"checkpoints and rivals: the same {judged.bare_bps.shape[-1]} held-out scenes")
         for axes in (above, below):
             axes.set_ylabel("over no RIS,\nin the same slots [%]")
         below.set_xlabel("episode")
@@ -187,7 +187,7 @@ def _draw_checkpoints(axes: Axes, judged: Judged) -> None:
     low, high = np.transpose(ends)
     error = (gains - low, high - gains)
     style: dict[str, Any] = {"color": STOPS, "lw": 1.4, "marker": "o", "ms": 3, "capsize": 2, "elinewidth": 0.8}
-    axes.errorbar(judged.episodes, gains, error, label="learned, held-out scenes", zorder=3, **style)
+    axes.errorbar(judged.episodes, gains, error, label="checkpoints", zorder=3, **style)
 
 
 def _draw_rivals(axes: Axes, table: pd.DataFrame) -> None:
