@@ -235,7 +235,9 @@ def test_headline_gains_are_of_closed_forms_in_the_same_scenes(tmp_path: Path):
     closed = play(config, reference_controls(), TINY.scenes, sensitivity.SCENE_SEED)
     np.testing.assert_allclose(scores["mobile"], closed.sum_rate_bps / 1e6)
     assert (scores["mobile"] > scores["OMA"]).all()
-    assert (scores["selecting OMA"] > scores["OMA"]).all()
+    # Where everybody can have QoS there is nobody to leave out.
+    assert (scores["selecting OMA"] >= scores["OMA"]).all()
+    assert scores["selecting OMA"].sum() > scores["OMA"].sum()
     again = sensitivity.headline(config, TINY.scenes, tmp_path)
     np.testing.assert_array_equal(again["none"], scores["none"])
 
