@@ -55,7 +55,7 @@ def test_an_experiment_is_trained_judged_and_drawn_once(tmp_path: Path, monkeypa
     closed = play(experiment.read(path).config, reference_controls(), 2, 7)
     np.testing.assert_allclose(table.sum_rate_mbps[1], closed.sum_rate_bps.mean() / 1e6, rtol=1e-5)
     np.testing.assert_allclose(table.penalised_mbps[1], closed.value_bps.mean() / 1e6, rtol=1e-5)
-    np.testing.assert_allclose(table.sum_percent_of_planner[0], 100)
+    np.testing.assert_allclose(table.sum_rate_percent_of_planner[0], 100)
     assert "| learned, episode 2 |" in printed
 
     def never(*_: object) -> None:
