@@ -3,7 +3,8 @@
 python scripts/experiment.py docs/experiments/NAME.toml ... [--runs FOLDER] [--scenes S] [--scene-seed S]
 
 NAME.csv and NAME.png go beside the file. Finished runs and judgements are kept in the folder of runs, so that an
-interrupted or extended experiment goes on where it was. Prints what docs/learning.md shows, as Markdown.
+interrupted or extended experiment goes on where it was; the table names the commits that trained and judged. Intervals
+are over seeds and scenes together. Prints what docs/learning.md shows, as Markdown.
 """
 
 import sys
@@ -16,12 +17,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import tyro
-from judging import RIVALS, agent_scores, commit, each, rival_scores, train
-from reference_table import markdown_table, number
+from judging import RIVALS, agent_scores, each, rival_scores, train
+from points import by_scene, point
+from reference_table import markdown_table, number, spread, statistic
 
 from mjris.config import Config, ConfigError, from_dict, preset
 from mjris.learn.study import run_folder
-from mjris.show.curves import student_interval
+from mjris.streams import Purpose, generator
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +64,7 @@ def main(study: Study) -> None:
     configs = [config for experiment in experiments for config in experiment.configs]
     train(configs, study.runs)
     for path, experiment in zip(study.files, experiments, strict=True):
-        table = judge(experiment, study)
-        table.insert(0, "commit", commit())
+        table = summary(judge(experiment, study), study.scene_seed)
         table.to_csv(path.with_suffix(".csv"), index=False, float_format="%.6g")
         draw(experiment, table, path.with_suffix(".png"))
         print(f"\n{experiment.name}: {experiment.what}\n\n{markdown(table)}")
@@ -87,7 +88,7 @@ def read(path: Path) -> Experiment:
 
 
 def judge(experiment: Experiment, study: Study) -> pd.DataFrame:
-    """A row for every rival, and for every seed, cell and episode to be judged.
+    """A row for every rival, and for every seed, cell and episode to be judged, with arrays over the scenes.
 
     Averaged agents are the same in all cells, so that one of them is judged.
     """
@@ -116,46 +117,61 @@ def judge(experiment: Experiment, study: Study) -> pd.DataFrame:
             strict=True,
         )
     ]
-    table = pd.DataFrame(rivals + judged)
-    for column in ("sum_rate_mbps", "penalised_mbps"):
-        table[f"{column.split('_')[0]}_percent_of_planner"] = 100 * table[column] / table[column].iloc[0]
-    return table
+    return pd.DataFrame(rivals + judged)
+
+
+def summary(judged: pd.DataFrame, scene_seed: int) -> pd.DataFrame:
+    """A row for every rival, and for every episode of the agents: its `point`, and shares of what the planner has."""
+    rng = generator(scene_seed, Purpose.RESAMPLING)
+    planner: Any = judged[judged["policy"] == RIVALS[0]]
+    rows = []
+    groups: Any = judged.groupby(["policy", "episode"], sort=False, dropna=False)
+    for (policy, episode), group in groups:
+        row = {"policy": policy, "episode": episode} | point(group, rng)
+        for score in ("sum_rate_mbps", "penalised_mbps"):
+            share = f"{score.removesuffix('_mbps')}_percent_of_planner"
+            row |= statistic(share, _percent, by_scene(group, score), by_scene(planner, score), rng=rng)
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def markdown(table: pd.DataFrame) -> str:
-    """Rivals, and the agents by episode: means over seeds with 95 % t-intervals, and the worst seed."""
+    """Rivals, and the agents by episode: means over seeds and scenes with 95 % intervals, and the worst seed."""
     heading = ("", "sum rate [Mb/s]", "% of planner", "penalised [Mb/s]", "% of planner", "QoS [%]", "collisions")
-    columns = ("sum_rate_mbps", "sum_percent_of_planner", "penalised_mbps", "penalised_percent_of_planner")
-    cells = [
-        [row["policy"], *_values(row, columns), number(row["qos_percent"], ".1f"), str(int(row["collisions"]))]
-        for row in table.query("policy != 'learned'").to_dict("records")
-    ]
-    for episode, group in table.query("policy == 'learned'").groupby("episode"):
-        seeds: Any = group.groupby("seed").mean(numeric_only=True)
-        shares = [_interval(seeds[column], ".3f" if "mbps" in column else ".1f") for column in columns]
-        worst = [number(seeds[column].min(), ".1f") for column in columns]
-        shares[1] += f", worst {worst[1]}"
-        shares[3] += f", worst {worst[3]}"
-        qos = _interval(seeds["qos_percent"], ".1f")
-        cells.append([f"learned, episode {episode:g}", *shares, qos, number(seeds["collisions"].sum(), ".0f")])
+    cells = []
+    for row in table.to_dict("records"):
+        learned = row["policy"] == "learned"
+        values = []
+        for score in ("sum_rate", "penalised"):
+            share = spread(row, f"{score}_percent_of_planner", ".1f")
+            if learned:
+                worst = min(float(mean) for mean in row[f"{score}_mbps_by_seed"].split())
+                share += f", worst seed {number(100 * worst / table[f'{score}_mbps'].iloc[0], '.1f')}"
+            values += [spread(row, f"{score}_mbps", ".3f"), share]
+        name = f"learned, episode {row['episode']:g}" if learned else row["policy"]
+        cells.append([name, *values, spread(row, "qos_percent", ".1f"), f"{row['collisions']:.0f}"])
     return markdown_table(heading, cells)
 
 
 def draw(experiment: Experiment, table: pd.DataFrame, path: Path) -> None:
-    """Penalised sum rate of the agents over the episodes, with a 95 % interval over seeds, and the rivals' as lines."""
+    """Penalised sum rate over the episodes, of every seed and of all with a 95 % interval, and the rivals' as lines."""
     from matplotlib.figure import Figure
 
     from mjris.show.palette import STOPS
 
     figure = Figure(figsize=(5.4, 3.8), layout="constrained")
     axes = figure.add_subplot()
-    for style, name in zip(("-", "--", "-.", ":"), RIVALS, strict=True):
+    for style, name in zip(("-", "--", "-.", ":", (0, (1, 4))), RIVALS, strict=True):
         value = table.loc[table.policy == name, "penalised_mbps"].item()
         axes.axhline(value, color="#444444", linestyle=style, linewidth=1, label=name)
-    learned: Any = table.query("policy == 'learned'").pivot_table("penalised_mbps", "episode", "seed")
-    axes.fill_between(learned.index, *student_interval(learned.to_numpy().T), color=STOPS, alpha=0.2)
-    axes.plot(learned.index, learned, color=STOPS, linewidth=0.5, alpha=0.6)
-    axes.plot(learned.index, learned.mean(axis=1), color=STOPS, linewidth=2, marker="o", label="learned, mean of seeds")
+    learned: Any = table.query("policy == 'learned'").set_index("episode")
+    axes.fill_between(
+        learned.index, learned["penalised_mbps_low"], learned["penalised_mbps_high"], color=STOPS, alpha=0.2
+    )
+    seeds = [[float(mean) for mean in words.split()] for words in learned["penalised_mbps_by_seed"]]
+    axes.plot(learned.index, seeds, color=STOPS, linewidth=0.5, alpha=0.6)
+    label = "learned, mean of seeds"
+    axes.plot(learned.index, learned["penalised_mbps"], color=STOPS, linewidth=2, marker="o", label=label)
     axes.set(xlabel="episodes of training", ylabel="sum rate with QoS penalty [Mb/s]", title=experiment.name)
     figure.legend(loc="outside lower center", ncols=3, fontsize="small", frameon=False)
     figure.savefig(path, dpi=150)
@@ -169,14 +185,8 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return {**base, **inner}
 
 
-def _values(row: Mapping[Any, Any], columns: Sequence[str]) -> list[str]:
-    return [number(row[column], ".3f" if "mbps" in column else ".1f") for column in columns]
-
-
-def _interval(values: Any, form: str) -> str:
-    """Mean and 95 % t-interval over seeds."""
-    half = student_interval(values.to_numpy())[1] - values.mean() if len(values) > 1 else np.nan
-    return f"{number(values.mean(), form)} ± {number(half, form)}"
+def _percent(mean: Any, reference: Any) -> Any:
+    return 100 * mean / reference
 
 
 if __name__ == "__main__":

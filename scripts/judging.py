@@ -1,4 +1,4 @@
-"""Runs and judgements that the studies here share: each is made once and kept in a folder."""
+"""Runs and judgements that the studies here share: each is made once and kept in a folder, with its commits."""
 
 import json
 import subprocess
@@ -9,21 +9,24 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mjris.config import Config, load, preset
-from mjris.eval.intervals import gain_percent
+from mjris.eval import parking
 from mjris.eval.playing import play
-from mjris.eval.policies import Policy, agent_policies, no_ris, planner, reference_controls
+from mjris.eval.policies import Policy, agent_policies, fixed_ris, no_ris, planner, reference_controls
 from mjris.learn.policy import load_policy
 from mjris.learn.study import run_folder, train_missing
 
-RIVALS = ("planner", "closed forms", "fixed RIS", "no RIS")
-"""What agents are held against: the planner with the best phases and powers known, action zero, action zero without
-driving, and the best powers known without RIS."""
+RIVALS = ("planner", "closed forms", parking.NAME, "fixed RIS", "no RIS")
+"""What agents are held against: the planner with the best phases and powers known; action zero; closed forms at the
+place that is best in other scenes, and where episodes start; and the best powers known without RIS."""
 
-Scores = dict[str, float]
+Scores = dict[str, Any]
+"""How a policy did: arrays over the scenes [S], see `_scores`, what it did in all of them, and what it was judged and
+trained at."""
 Job = tuple[Any, ...]
 """A function that gives scores, importable by name, and its arguments."""
 
@@ -48,7 +51,8 @@ def agent_scores(run: Path, episode: int, cell: int, scenes: int, seed: int) -> 
         config = load(run / "config.json")
         agent = load_policy(run, cell, round_=-(-episode // config.federation.round_episodes))
         learned = agent_policies(lambda observation: agent.predict(observation, deterministic=True)[0])[0]
-        return _scores(config, replace(learned, changes={}), scenes, seed)  # in the task that it was trained for
+        scores = _scores(config, replace(learned, changes={}), scenes, seed)  # in the task that it was trained for
+        return scores | {"trained": trained_at(run)}
 
     return kept(run / "judged" / f"learned_episode_{episode:04d}_cell_{cell}_{scenes}_{seed}.json", judge)
 
@@ -57,10 +61,14 @@ def rival_scores(config: Config, name: str, folder: Path, scenes: int, seed: int
     """How one of `RIVALS` does."""
 
     def judge() -> Scores:
-        closed = reference_controls()
-        still = replace(closed, changes={"task": {**closed.changes["task"], "ris": "fixed"}})
-        rivals: dict[str, Policy] = dict(zip(RIVALS, (planner(seed), closed, still, no_ris()), strict=True))
-        return _scores(config, rivals[name], scenes, seed)
+        rivals: dict[str, Callable[[], Policy]] = {
+            "planner": lambda: planner(seed),
+            "closed forms": reference_controls,
+            parking.NAME: lambda: parking.parked_at(parking.best_spot(config, seed)),
+            "fixed RIS": fixed_ris,
+            "no RIS": no_ris,
+        }
+        return _scores(config, rivals[name](), scenes, seed)
 
     words = name.replace(" ", "_")
     return kept(rival_file(config, folder, f"{words}_{scenes}_{seed}"), judge)
@@ -72,15 +80,23 @@ def rival_file(config: Config, folder: Path, name: str) -> Path:
     return folder / "rivals" / "judged" / f"{run_folder(plain, Path()).name}_{name}.json"
 
 
+def trained_at(run: Path) -> str | None:
+    """The commit that a run was trained at, as `commit` gives it; None where the run does not know."""
+    provenance = run / "provenance.json"
+    known: dict[str, Any] = json.loads(provenance.read_text()) if provenance.exists() else {"commit": None}
+    return _label(known["commit"], known["dirty"]) if known["commit"] else None
+
+
 def kept(path: Path, judge: Callable[[], Scores]) -> Scores:
-    """The scores in a file, which `judge` gives where it is not there yet."""
+    """The scores in a file, which `judge` gives where it is not there yet, with the commit that they were judged at."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(judge())
+        text = json.dumps(judge() | {"judged": commit()}, default=np.ndarray.tolist)
         unfinished = path.with_suffix(".unfinished")
         unfinished.write_text(text)
         unfinished.rename(path)
-    return json.loads(path.read_text())
+    scores = json.loads(path.read_text())
+    return {name: np.array(value) if isinstance(value, list) else value for name, value in scores.items()}
 
 
 def each(jobs: Sequence[Job]) -> list[Scores]:
@@ -95,23 +111,29 @@ def each(jobs: Sequence[Job]) -> list[Scores]:
 
 
 def commit() -> str:
-    """The commit of the code that ran, with a plus where files had changed since."""
+    """The commit of the code that runs, with a plus where files have changed since."""
 
     def git(*words: str) -> str:
         return subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
 
-    return git("rev-parse", "--short", "HEAD") + (
-        "+" if git("status", "--porcelain", "mjris", "scripts", "assets") else ""
-    )
+    return _label(git("rev-parse", "HEAD"), bool(git("status", "--porcelain", "mjris", "scripts", "assets")))
+
+
+def _label(name: str, dirty: bool) -> str:
+    return name[:7] + ("+" if dirty else "")
 
 
 def _scores(config: Config, policy: Policy, scenes: int, seed: int) -> Scores:
     played = play(config, policy, scenes, seed)
     return {
-        "sum_rate_mbps": played.sum_rate_bps.mean() / 1e6,
-        "penalised_mbps": played.value_bps.mean() / 1e6,
-        "qos_percent": 100 * played.qos_share.mean(),
-        "gain_percent": float(gain_percent(played.sum_rate_bps.mean(), played.bare_bps.mean())),
+        "sum_rate_mbps": played.sum_rate_bps / 1e6,
+        "bare_mbps": played.bare_bps / 1e6,
+        "penalised_mbps": played.value_bps / 1e6,
+        "qos_percent": 100 * played.qos_share,
+        "user_qos_percent": 100 * played.user_qos_share,
+        "user_rate_p5_kbps": played.user_rate_p5_bps / 1e3,
+        "jain": played.jain,
+        "superposing_percent": 100 * played.superposing_share,
         "collisions": played.collisions,
         "clearance_m": played.clearance_m,
     }

@@ -17,6 +17,7 @@ from reference_table import Judged, Study, command, finish, markdown_table, numb
 from rich.progress import Progress
 
 from mjris.eval.intervals import gain_percent
+from mjris.streams import Purpose, generator
 
 PANELS = tuple(itertools.product(("isotropic", "cosine"), ("auto", "locked")))
 """Element pattern and pan."""
@@ -35,7 +36,7 @@ def main(study: Study) -> None:
     with Progress() as progress:
         bar = progress.add_task("slots", total=2 * len(PANELS) * study.judged)
         played = {panel: play(*panel, study, lambda: progress.advance(bar)) for panel in PANELS}
-    rng = np.random.default_rng(study.seed)
+    rng = generator(study.seed, Purpose.RESAMPLING)
     finish(pd.DataFrame([row(*panel, cases, rng) for panel, cases in played.items()]), markdown, study.out)
 
 

@@ -2,10 +2,11 @@
 
 python scripts/reproduce.py [FIGURE ...] [--scale quick|full] [--runs FOLDER] [--out FOLDER]
 
-Figures are path, learning_rate, elements, power, gain, difference_factor, federation, remark and sensitivity; all by
-default. Each becomes FIGURE.png and FIGURE.csv in the folder, and the claims whose figures are among them claims.csv.
+Figures are path, learning_rate, elements, power, gain, difference_factor, federation, discount, remark and sensitivity;
+all by default. Each becomes FIGURE.png and FIGURE.csv in the folder, and the claims whose figures are among them
+claims.csv. Intervals are over training seeds and held-out scenes together.
 Finished runs and judgements are kept in the folder of runs, so that an interrupted command goes on where it was.
-Prints the claims as Markdown.
+Prints the claims, and who gets the sum rates of the gain figure, as Markdown.
 """
 
 import sys
@@ -13,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import numpy as np
 import pandas as pd
 import tyro
 from judging import commit
@@ -23,11 +23,12 @@ from reproduction.drawing import draw
 from reproduction.path import draw_path
 from reproduction.remark import draw_remark
 from reproduction.remark import measure as measure_remark
-from reproduction.results import measure, training
+from reproduction.results import measure, shares, summary
 from reproduction.sensitivity import draw_sensitivity
 from reproduction.sensitivity import measure as measure_sensitivity
 
 from mjris.config import ConfigError
+from mjris.streams import Purpose, generator
 
 Name = Literal[
     "path",
@@ -37,6 +38,7 @@ Name = Literal[
     "gain",
     "difference_factor",
     "federation",
+    "discount",
     "remark",
     "sensitivity",
 ]
@@ -73,20 +75,22 @@ def reproduce(figures: tuple[str, ...], scale: Scale, runs: Path, out: Path) -> 
     trained = [name for name in figures if name in TRAINED]
     if trained:
         curves = [curve for name in PRESETS for figure in trained for curve in TRAINED[figure](name, scale)]
-        table, learning = measure(curves, scale, runs), training(curves, scale, runs)
+        table = measure(curves, scale, runs)
+        points = summary(table)
         for figure in trained:
-            rows: Any = table[table["figure"] == figure]
+            rows: Any = points[points["figure"] == figure]
             _write(rows.drop(columns="figure"), out / f"{figure}.csv")
-            own: Any = learning[learning["figure"] == figure] if len(learning) else learning
-            draw(rows, own, figure, out / f"{figure}.png")
+            draw(rows, figure, out / f"{figure}.png")
+            if figure == "gain":
+                print(f"{shares(rows)}\n")
         claims = compare(table)
         _write(claims, out / "claims.csv")
         print(markdown(claims))
     if "path" in figures:
         draw_path(scale, runs, out / "path.png")
     if "remark" in figures:
-        found, rewards = measure_remark(np.random.default_rng(0))
-        _write(pd.concat([found, rewards]), out / "remark.csv")
+        found, rewards = measure_remark(generator(0, Purpose.STUDY))
+        _write(pd.concat([found, rewards]).assign(commit=commit()), out / "remark.csv")
         draw_remark(found, rewards, out / "remark.png")
     if "sensitivity" in figures:
         rows = measure_sensitivity(scale, runs)
@@ -96,7 +100,7 @@ def reproduce(figures: tuple[str, ...], scale: Scale, runs: Path, out: Path) -> 
 
 
 def _write(table: pd.DataFrame, path: Path) -> None:
-    table.assign(commit=commit()).to_csv(path, index=False, float_format="%.6g")
+    table.to_csv(path, index=False, float_format="%.6g")
 
 
 if __name__ == "__main__":

@@ -40,8 +40,8 @@ def cases(request):
 
 
 def test_the_cases_are_in_order(cases):
-    assert list(cases) == ["no RIS", "fixed RIS", "planner", "best placement", "upper bound"]
-    for name in ("fixed RIS", "planner", "best placement"):
+    assert list(cases) == ["no RIS", "parked RIS", "planner", "best placement", "upper bound"]
+    for name in ("parked RIS", "planner", "best placement"):
         assert (cases[name].sum_rate_bps <= cases[name].bound_bps).all()
         # A sum rate can only fall where QoS is met that was not met without the RIS.
         gained = cases[name].value_bps / cases[name].sum_rate_bps
@@ -50,13 +50,13 @@ def test_the_cases_are_in_order(cases):
         assert cases[name].sum_rate_bps.mean() > cases[name].bare_bps.mean()
         assert cases[name].qos_share.mean() >= cases["no RIS"].qos_share.mean()
     # Three slots are enough to stand elsewhere.
-    assert not np.allclose(cases["planner"].sum_rate_bps, cases["fixed RIS"].sum_rate_bps, rtol=1e-3)
-    assert cases["best placement"].value_bps.mean() > cases["fixed RIS"].value_bps.mean()
+    assert not np.allclose(cases["planner"].sum_rate_bps, cases["parked RIS"].sum_rate_bps, rtol=1e-3)
+    assert cases["best placement"].value_bps.mean() > cases["parked RIS"].value_bps.mean()
     np.testing.assert_array_equal(cases["upper bound"].sum_rate_bps, cases["best placement"].bound_bps)
 
 
 def test_who_stands_still_is_judged_in_the_same_slots(cases):
-    for name in ("fixed RIS", "best placement"):
+    for name in ("parked RIS", "best placement"):
         np.testing.assert_array_equal(cases[name].bare_bps, cases["no RIS"].sum_rate_bps)
 
 

@@ -5,15 +5,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from mjris.config import Config, preset
+from mjris.eval import parking
 
 PRESETS = ("office", "paper")
 SCHEMES = ("noma", "oma")
 BASE = "mobile RIS"
 """The curve of a preset as it is, for one cell: NOMA, dynamic order, 16 elements, 4 antennas, 20 dBm, α = 3e-4."""
+FIXED, TURNING, PARKED = "fixed RIS", "parked RIS that turns", parking.NAME
+SELECTING = "mobile RIS, selecting users"
+"""OMA that may leave users out, as NOMA does."""
 _CHECKPOINT = 10
 """A cell alone has no rounds; so many episodes at most are from one checkpoint to the next."""
 DIFFERENCES = (0.0, 0.5, 1.0)
 """Difference factors."""
+DISCOUNTS = (0.0, 0.9, 0.99)
+"""γ"""
 PANELS = {4: (2, 2), 8: (2, 4), 16: (4, 4), 32: (4, 8)}
 """Rows and columns of a panel by its number of elements."""
 
@@ -86,11 +92,13 @@ class Curve:
     """Where the point is; None is a line over the episodes."""
     bounded: bool = True
     """Whether the planner and the upper bound are drawn beside."""
+    parked: bool = False
+    """Whether the best-placed fixed RIS is drawn beside."""
 
     def judged(self, scale: Scale) -> list[int]:
         """The episodes after which the agents are judged."""
-        last = self.config.federation.episodes
-        return [last] if self.x is not None else [*range(scale.judged, last, scale.judged), last]
+        first, last = self.config.federation.round_episodes, self.config.federation.episodes
+        return [last] if self.x is not None else sorted({first, *range(scale.judged, last, scale.judged), last})
 
 
 def base(name: str, scale: Scale, *, cells: int = 1, **changes: Mapping[str, Any]) -> Config:
@@ -151,12 +159,15 @@ def gain(name: str, scale: Scale) -> list[Curve]:
     cases: list[tuple[str, str, dict[str, Any]]] = [
         (BASE, "noma", {}),
         ("static order", "noma", {"radio": {"decoding_order": "static"}}),
-        ("fixed RIS", "noma", {"task": {"ris": "fixed"}}),
+        (FIXED, "noma", {"task": {"ris": "fixed"}}),
+        (TURNING, "noma", {"task": {"ris": "turning"}}),
         ("random phases", "noma", {"task": {"phases": "random"}}),
         ("no RIS", "noma", {"task": {"ris": "none"}}),
         (BASE, "oma", {}),
+        (SELECTING, "oma", {"radio": {"oma_selection": True}}),
     ]
-    return [_curve("gain", name, case, scheme, scale, **changes) for case, scheme, changes in cases]
+    first, *others = [_curve("gain", name, case, scheme, scale, **changes) for case, scheme, changes in cases]
+    return [replace(first, parked=True), *others]
 
 
 def difference_factor(name: str, scale: Scale) -> list[Curve]:
@@ -198,6 +209,13 @@ def _alone(figure: str, name: str, scale: Scale) -> Curve:
     return replace(curve, config=replace(curve.config, federation=longer))
 
 
+def discount(name: str, scale: Scale) -> list[Curve]:
+    """Throughput over episodes for several discounts."""
+    return [
+        _curve("discount", name, f"γ = {factor:g}", "noma", scale, agent={"discount": factor}) for factor in DISCOUNTS
+    ]
+
+
 TRAINED: dict[str, Callable[[str, Scale], list[Curve]]] = {
     "learning_rate": learning_rate,
     "elements": elements,
@@ -205,5 +223,6 @@ TRAINED: dict[str, Callable[[str, Scale], list[Curve]]] = {
     "gain": gain,
     "difference_factor": difference_factor,
     "federation": federation,
+    "discount": discount,
 }
 """Figures whose agents are trained for a preset at a scale."""

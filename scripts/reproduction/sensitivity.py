@@ -1,4 +1,4 @@
-"""How the headline gains move with what the paper leaves open, one parameter at a time."""
+"""How the headline gains move with what the paper leaves open or fixes without a reason, one parameter at a time."""
 
 import re
 from collections.abc import Mapping
@@ -8,33 +8,44 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from judging import Scores, agent_scores, each, kept, rival_file, train
+from judging import Scores, each, kept, rival_file
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from reference_table import statistic
 
 from mjris.assets import assets_dir
 from mjris.config import Config
-from mjris.eval.intervals import gain_percent, interval
+from mjris.eval.intervals import gain_percent
 from mjris.eval.playing import play
 from mjris.eval.policies import reference_controls
-from mjris.learn.study import run_folder
-from mjris.show.curves import student_interval
+from mjris.streams import Purpose, generator
 from reproduction.curves import Scale, base
 from reproduction.drawing import STYLE, WIDTH_IN
 from reproduction.results import SCENE_SEED
 
-GAINS = {
-    "mobile over no RIS": ("#0072b2", "o"),
-    "fixed over no RIS": ("#d55e00", "^"),
-    "NOMA over OMA": ("#e69f00", "s"),
+CASES: dict[str, dict[str, dict[str, Any]]] = {
+    "mobile": {},
+    "fixed": {"task": {"ris": "fixed"}},
+    "none": {"task": {"ris": "none"}},
+    "OMA": {"radio": {"scheme": "oma"}},
+    "selecting OMA": {"radio": {"scheme": "oma", "oma_selection": True}},
 }
-"""The headline gains, with their colours and markers."""
+"""What is played: closed forms, and what each case changes."""
+GAINS = {
+    "mobile over no RIS": ("mobile", "none"),
+    "fixed over no RIS": ("fixed", "none"),
+    "NOMA over OMA": ("mobile", "OMA"),
+    "NOMA over OMA that selects users": ("mobile", "selecting OMA"),
+}
+"""The headline gains: the one case over the other."""
+_STYLES = (("#0072b2", "o"), ("#d55e00", "^"), ("#e69f00", "s"), ("#009e73", "D"))
+"""Their colours and markers."""
 _AS_IS = "as it is"
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One parameter with another value."""
+    """One parameter with another value, or one and what goes with it."""
 
     parameter: str
     value: str
@@ -49,11 +60,21 @@ def variants(scale: Scale, layouts: Path) -> list[Variant]:
         "AP place: east wall": {"world": {"layout": _with_ap(layouts, "east", (14.8, 10.0, 2.6), 180.0)}},
         "antennas M: 2": {"radio": {"num_antennas": 2}},
         "antennas M: 8": {"radio": {"num_antennas": 8}},
+        "noise: −45 dBm/MHz": {"radio": {"noise_dbm_per_mhz": -45.0}},
+        "noise: −60 dBm/MHz": {"radio": {"noise_dbm_per_mhz": -60.0}},
+        "noise: −107 dBm/MHz, thermal": {"radio": {"noise_dbm_per_mhz": -107.0}},
+        "power: 10 dBm": {"radio": {"tx_power_dbm": 10.0}},
+        "power: 30 dBm": {"radio": {"tx_power_dbm": 30.0}},
+        "QoS: 1 kb/s": {"task": {"qos_bps": 1e3}},
+        "QoS: 100 kb/s": {"task": {"qos_bps": 1e5}},
+        "QoS: 1 Mb/s, thermal noise": {"task": {"qos_bps": 1e6}, "radio": {"noise_dbm_per_mhz": -107.0}},
         "elements N: 4": {"radio": {"panel_rows": 2, "panel_cols": 2}},
         "elements N: 64": {"radio": {"panel_rows": 8, "panel_cols": 8}},
         "Rician K: 0 dB": {"radio": {"rician_k_db": 0.0}},
         "Rician K: 13 dB": {"radio": {"rician_k_db": 13.0}},
         "element gain: isotropic": {"radio": {"element_pattern": "isotropic"}},
+        "element gain: isotropic, no pan": {"radio": {"element_pattern": "isotropic"}, "world": {"pan": "locked"}},
+        "element gain: cosine, no pan": {"world": {"pan": "locked"}},
         "element gain: cosine, n = 1": {"radio": {"element_exponent": 1.0}},
         "furniture: jitter of 0.3 m": {"world": {"layout_jitter_m": 0.3}},
         "furniture: open": {"world": {"layout": "open"}},
@@ -72,71 +93,35 @@ def variants(scale: Scale, layouts: Path) -> list[Variant]:
     return found
 
 
-def discounts(scale: Scale) -> list[Variant]:
-    """What only training knows: the discount γ."""
-    return [
-        Variant("discount γ", f"{discount:g}, trained", base("office", scale, agent={"discount": discount}))
-        for discount in (0.0, 0.9, 0.99)
-    ]
-
-
 def measure(scale: Scale, runs: Path) -> pd.DataFrame:
-    """A row for every variant and gain: value, low and high [%].
+    """A row for every variant and gain: value, low and high [%], and the commit that judged.
 
     The closed forms of the `office` preset, which its agents come within some percent of, tell what an environment is
-    worth, with intervals over scenes. The discount changes agents only: they are trained, with intervals over seeds.
+    worth. They learn nothing, so that intervals are over scenes.
     """
     plain = variants(scale, runs / "layouts")
-    trained = discounts(scale)
-    seeded = [[replace(variant.config, seed=seed) for seed in scale.seeds] for variant in trained]
-    train([config for configs in seeded for config in configs], runs)
-    judged = [
-        [
-            (agent_scores, run_folder(own, runs), variant.config.federation.episodes, 0, scale.scenes, SCENE_SEED)
-            for own in configs
-        ]
-        for variant, configs in zip(trained, seeded, strict=True)
-    ]
     scores = each([(headline, variant.config, scale.scenes, runs) for variant in plain])
-    rows = [
-        {"parameter": variant.parameter, "value": variant.value, "gain": gain, "percent": row[gain]}
-        | {end: row[f"{gain}, {end}"] for end in ("low", "high")}
-        for variant, row in zip(plain, scores, strict=True)
-        for gain in GAINS
-    ]
-    for variant, jobs in zip(trained, judged, strict=True):
-        gains = 100 * (np.array([row["sum_rate_mbps"] for row in each(jobs)]) / scores[0]["no RIS"] - 1)
-        low, high = student_interval(gains)
-        rows.append(
-            {"parameter": variant.parameter, "value": variant.value, "gain": "mobile over no RIS"}
-            | {"percent": gains.mean(), "low": low, "high": high}
-        )
-    return pd.DataFrame(rows)
+    rng = generator(SCENE_SEED, Purpose.RESAMPLING)
+    return pd.DataFrame(
+        {"parameter": variant.parameter, "value": variant.value, "gain": gain}
+        | statistic("percent", gain_percent, rates[one], rates[other], rng=rng)
+        | {"judged": rates["judged"]}
+        for variant, rates in zip(plain, scores, strict=True)
+        for gain, (one, other) in GAINS.items()
+    )
 
 
 def headline(config: Config, scenes: int, runs: Path) -> Scores:
-    """The gains of `GAINS` [%] with 95 % intervals over scenes, and the sum rate without RIS [Mb/s]."""
+    """Sum rates [S] [Mb/s] of the closed forms, by `CASES`."""
 
     def judge() -> Scores:
-        rng = np.random.default_rng(SCENE_SEED)
         closed = reference_controls()
-        rates = {}
-        for name, ris, scheme in (
-            ("mobile", "mobile", "noma"),
-            ("fixed", "fixed", "noma"),
-            ("none", "none", "noma"),
-            ("OMA", "mobile", "oma"),
-        ):
-            policy = replace(closed, changes={"task": {**closed.changes["task"], "ris": ris}})
-            own = replace(config, radio=replace(config.radio, scheme=scheme))
-            rates[name] = play(own, policy, scenes, SCENE_SEED).sum_rate_bps
-        pairs = dict(zip(GAINS, (("mobile", "none"), ("fixed", "none"), ("mobile", "OMA")), strict=True))
-        scores: Scores = {"no RIS": rates["none"].mean() / 1e6}
-        for gain, (one, other) in pairs.items():
-            scores[gain] = float(gain_percent(rates[one].mean(), rates[other].mean()))
-            low, high = interval(gain_percent, rates[one], rates[other], rng=rng)
-            scores |= {f"{gain}, low": low, f"{gain}, high": high}
-        return scores
+        rates: Scores = {}
+        for name, sections in CASES.items():
+            fields = {key: {**closed.changes.get(key, {}), **sections.get(key, {})} for key in ("task", "radio")}
+            policy = replace(closed, changes=fields)
+            rates[name] = play(config, policy, scenes, SCENE_SEED).sum_rate_bps / 1e6
+        return rates
 
     return kept(rival_file(config, runs, f"headline_{scenes}_{SCENE_SEED}"), judge)
 
@@ -145,12 +130,12 @@ def draw_sensitivity(table: pd.DataFrame, path: Path) -> None:
     """Write a row for every value of every parameter, with a mark for each gain."""
     names = list(dict.fromkeys(zip(table["parameter"], table["value"], strict=True)))
     with rc_context(STYLE):
-        sheet = Figure(figsize=(WIDTH_IN, 0.17 * len(names) + 0.9), dpi=300, layout="constrained")
+        sheet = Figure(figsize=(WIDTH_IN, 0.2 * len(names) + 0.9), dpi=300, layout="constrained")
         axes = sheet.add_subplot()
-        for offset, (gain, (colour, marker)) in zip((-0.22, 0.0, 0.22), GAINS.items(), strict=True):
+        for offset, gain, (colour, marker) in zip((-0.27, -0.09, 0.09, 0.27), GAINS, _STYLES, strict=True):
             rows: Any = table[table["gain"] == gain]
             places = [names.index(key) + offset for key in zip(rows["parameter"], rows["value"], strict=True)]
-            spread = np.abs(rows[["low", "high"]].to_numpy().T - rows["percent"].to_numpy())
+            spread = np.abs(rows[["percent_low", "percent_high"]].to_numpy().T - rows["percent"].to_numpy())
             axes.errorbar(
                 rows["percent"], places, xerr=spread, color=colour, marker=marker, ms=3, ls="", lw=0.7, label=gain
             )
@@ -162,7 +147,7 @@ def draw_sensitivity(table: pd.DataFrame, path: Path) -> None:
         axes.set_yticks(range(len(names)), words)
         axes.set(ylim=(len(names) - 0.5, -0.5), xlabel="gain [%]")
         axes.tick_params(axis="y", length=0)
-        sheet.legend(loc="outside lower center", ncols=3, handlelength=1, columnspacing=1)
+        sheet.legend(loc="outside lower center", ncols=2, handlelength=1, columnspacing=1)
         sheet.savefig(path)
 
 
