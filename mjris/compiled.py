@@ -49,7 +49,9 @@ def _cache_dir(wanted: str) -> Path:
     """Where results are kept for this state of the package's sources: where Numba was told to, or with the package."""
     package = Path(__file__).parent
     stats = [(str(path.relative_to(package)), path.stat()) for path in sorted(package.rglob("*.py"))]
-    state = repr([(name, stat.st_mtime_ns, stat.st_size) for name, stat in stats])
+    # With and without NUMBA_BOUNDSCHECK=1, which has indices checked, the same source gives different results.
+    checked = bool(numba.config.BOUNDSCHECK)
+    state = repr([checked, *((name, stat.st_mtime_ns, stat.st_size) for name, stat in stats)])
     own = package / "__pycache__" if os.access(package, os.W_OK) else Path.home() / ".cache" / "mjris"
     folder = (Path(wanted) if wanted else own) / f"compiled-{hashlib.sha256(state.encode()).hexdigest()[:12]}"
     folder.mkdir(parents=True, exist_ok=True)

@@ -18,8 +18,10 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
 
-_BRAKING_MPS2 = 4.0
-"""What the wheels can brake at with room to spare."""
+_CAUTION = 0.85
+"""Share of what the wheels can brake at that is counted on: 15 % are for leaning masts and long physics steps."""
+_SERVO_M = 0.01
+"""What the servo takes to let go of the last speed."""
 
 
 class ConfigError(Exception):
@@ -58,22 +60,22 @@ class World:
     """Where it faces then, counter-clockwise from +x [°]; anywhere by default."""
     num_users: Count = 4
     """K, people who carry a receiver."""
-    slot_s: Positive = 1.0
+    slot_s: Annotated[float, Field(ge=0.01, le=60)] = 1.0
     """Length of a time slot [s]."""
-    ticks_per_slot: Count = 10
+    ticks_per_slot: Annotated[int, Field(ge=1, le=1000)] = 10
     """How often in a slot the controller reads the bumper, drives and lets people walk."""
-    timestep_s: Annotated[float, Field(gt=0, le=0.02)] = 0.02
+    timestep_s: Annotated[float, Field(ge=1e-4, le=0.02)] = 0.02
     """Longest physics time step of the wheels drive [s]."""
-    max_speed_mps: Positive = 0.5
-    """v_max of the rover [m/s]."""
+    max_speed_mps: Annotated[float, Field(ge=0.01, le=2)] = 0.5
+    """v_max of the rover [m/s]; a fast one needs a bumper that feels far, see `braking_mps2`."""
     bumper_m: Annotated[float, Field(ge=0.02, le=0.5)] = 0.1
     """The bumper feels obstacles from this distance on [m]."""
     clearance_m: Annotated[float, Field(ge=0.02, le=1)] = 0.15
     """People keep this distance from furniture, walls, the rover and each other [m]."""
-    walk_scale_m: NonNegative = 0.3
+    walk_scale_m: Annotated[float, Field(ge=0, le=10)] = 0.3
     """Scale of the Rayleigh distance that a person walks in a slot [m]; its mean is 1.25 times that."""
-    user_height_m: Positive = 1.1
-    """Height of the users' receivers [m]."""
+    user_height_m: Annotated[float, Field(gt=0, le=2)] = 1.1
+    """Height of the users' receivers [m]: where a person can hold one, below every ceiling."""
     panel_height_m: Annotated[float, Field(ge=0.6, le=2.2)] = 1.5
     """Height of the panel's centre [m]."""
     pan: Literal["auto", "action", "locked"] = "auto"
@@ -82,15 +84,26 @@ class World:
     body_blockage: bool = False
     """Whether people's bodies block links (never the link to their own receiver)."""
 
+    @property
+    def braking_mps2(self) -> float:
+        """What the wheels can brake at [m/s²]: as much as the treads hold of what is left on them.
+
+        Treads with friction 1 hold as much as weighs on them, and braking shifts weight to the caster, l = 0.15 m
+        ahead: a = g - a z/l. With the panel the centre of mass is at z, as the masses of rover.xml and ris.xml have it.
+        """
+        centre_m = (14 * 0.13 + 2 * 0.5 * 0.08 + 0.8 * self.panel_height_m) / 15.8
+        return 9.81 / (1 + centre_m / 0.15)
+
     @model_validator(mode="after")
     def _can_stop(self) -> "World":
         tick_m = self.max_speed_mps * self.slot_s / self.ticks_per_slot
-        needed = tick_m + self.max_speed_mps**2 / (2 * _BRAKING_MPS2)
+        needed = tick_m + self.max_speed_mps**2 / (2 * _CAUTION * self.braking_mps2) + _SERVO_M
         for name in ("bumper_m", "clearance_m"):
             if getattr(self, name) < needed:
                 raise ValueError(
-                    f"world.{name}: {getattr(self, name)} is not allowed: at world.max_speed_mps {self.max_speed_mps} "
-                    f"the rover needs {needed:.3f} m to notice and stop"
+                    f"world.{name}: {getattr(self, name)} is not allowed: at world.max_speed_mps {self.max_speed_mps}, "
+                    f"world.slot_s {self.slot_s}, world.ticks_per_slot {self.ticks_per_slot} and world.panel_height_m "
+                    f"{self.panel_height_m} the rover needs {math.ceil(needed * 1e3) / 1e3} m to notice and stop"
                 )
         return self
 

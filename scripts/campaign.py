@@ -1,6 +1,6 @@
 """A long adversarial campaign: rovers are driven at furniture, walls and people, and every promise is checked.
 
-python scripts/campaign.py [--kinematic-slots N] [--wheels-slots N] [--cells E] [--seed S]
+python scripts/campaign.py [--kinematic-slots N] [--wheels-slots N] [--corner-slots N] [--cells E] [--seed S]
 
 Ends with status 1 if a rover penetrated anything, left its room or was too fast. Beside what the simulator says of
 itself, the rovers' ways are held against the layouts' bricks and walls by geometry of this script's own.
@@ -20,8 +20,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from mjris.config import Config
-from mjris.config import World as WorldConfig
+from mjris.config import Config, from_dict
 from mjris.constraints import within_room
 from mjris.world.layout import Layout, load_layout
 from mjris.world.office import HULL_FLOOR_GAP_M, PERSON_RADIUS_M, hull_height
@@ -35,6 +34,37 @@ other; rammer: straight into furniture and walls; hunter: after the nearest pers
 LAYOUTS = ("office", "open", "clinic")
 FURNISHINGS = ((0.0, 4), (0.0, 12), (0.3, 12))
 """Layout jitter [m] and number of people."""
+CORNERS = {
+    "slowest tick": {"world": {"ticks_per_slot": 1, "max_speed_mps": 0.38, "bumper_m": 0.415, "clearance_m": 0.415}},
+    "long slots": {"world": {"slot_s": 20, "ticks_per_slot": 200, "bumper_m": 0.1, "clearance_m": 0.1}},
+    "smallest bumper": {
+        "world": {"ticks_per_slot": 100, "max_speed_mps": 0.2, "bumper_m": 0.02, "clearance_m": 0.02},
+    },
+    "tallest mast": {"world": {"panel_height_m": 2.2, "bumper_m": 0.099, "clearance_m": 0.099}},
+    "widest panel": {"world": {"layout": "open"}, "radio": {"panel_cols": 24}},
+    "highest speed": {
+        "world": {
+            "max_speed_mps": 1.9,
+            "ticks_per_slot": 200,
+            "panel_height_m": 0.6,
+            "bumper_m": 0.46,
+            "clearance_m": 0.46,
+        },
+    },
+    "fast and tall": {
+        "world": {
+            "max_speed_mps": 1.5,
+            "ticks_per_slot": 50,
+            "panel_height_m": 2.2,
+            "bumper_m": 0.39,
+            "clearance_m": 0.39,
+        },
+    },
+    "shortest physics step": {"world": {"ticks_per_slot": 100, "timestep_s": 0.002, "bumper_m": 0.055}},
+    "fast walkers": {"world": {"walk_scale_m": 3}},
+}
+"""Corners of what configs allow: what differs from a campaign's config, which has 12 people in the office. Bumper and
+clearance are hardly more than the config asks for."""
 RESTART_SLOTS = 20
 """Rovers begin at another place, with other targets, this often."""
 _CANDIDATES = 200
@@ -51,6 +81,8 @@ class Campaign:
     """Slots of the kinematic drive, all cells together."""
     wheels_slots: int = 10_000
     """Slots of the wheels drive, all cells together."""
+    corner_slots: int = 2000
+    """Slots of each drive at each corner of what configs allow."""
     cells: int = 40
     """Cells that are stepped together; the drivers take turns over them."""
     seed: int = 0
@@ -69,6 +101,16 @@ class Leg:
     slots: int
     """Slots of every cell."""
     seed: int
+    corner: str = "within"
+    """What of `CORNERS` it has, or that it is within them all."""
+
+    @property
+    def config(self) -> Config:
+        """Its config."""
+        world = {"drive": self.drive, "layout": self.layout, "num_users": self.num_users}
+        change = CORNERS.get(self.corner, {})
+        world |= {"layout_jitter_m": self.jitter_m} | change.get("world", {})
+        return from_dict({"world": world, "radio": change.get("radio", {})})
 
 
 @dataclass(frozen=True)
@@ -95,7 +137,7 @@ def main(campaign: Campaign) -> int:
     with Progress(transient=True) as progress:
         bar = progress.add_task("slots", total=sum(leg.cells * leg.slots for leg in legs))
         for leg in legs:
-            progress.update(bar, description=f"{leg.drive} · {leg.layout} · {leg.num_users} people")
+            progress.update(bar, description=f"{leg.drive} · {leg.layout} · {leg.num_users} people · {leg.corner}")
             log = play(leg, lambda cells=leg.cells: progress.advance(bar, cells))
             tables.append(summary(leg, log))
             incidents += [f"{leg}: cell {cell}, slot {slot}" for slot, cell in np.argwhere(log.broken)]
@@ -107,10 +149,13 @@ def main(campaign: Campaign) -> int:
 
 
 def plan(campaign: Campaign) -> list[Leg]:
-    """The legs of a campaign: every drive in every layout and furnishing, with equal numbers of slots for a drive."""
+    """The legs of a campaign.
+
+    Every drive in every layout and furnishing, with equal numbers of slots for a drive, and then at every corner.
+    """
     scenes = list(itertools.product(LAYOUTS, FURNISHINGS))
     totals = {"kinematic": campaign.kinematic_slots, "wheels": campaign.wheels_slots}
-    return [
+    within = [
         Leg(
             drive,
             layout,
@@ -123,20 +168,21 @@ def plan(campaign: Campaign) -> list[Leg]:
         if total
         for index, (layout, furnishing) in enumerate(scenes)
     ]
+    each = math.ceil(campaign.corner_slots / campaign.cells)
+    corners = [
+        Leg(drive, "office", 0.0, 12, campaign.cells, each, campaign.seed + 1000 * (len(scenes) + index), corner)
+        for drive in totals
+        if each
+        for index, corner in enumerate(CORNERS)
+    ]
+    return within + corners
 
 
 def play(leg: Leg, on_slot: Callable[[], None]) -> Log:
     """Drive a leg; `on_slot` is called after every slot."""
-    config = Config(
-        world=WorldConfig(
-            drive=leg.drive,  # pyright: ignore[reportArgumentType]
-            layout=leg.layout,
-            layout_jitter_m=leg.jitter_m,
-            num_users=leg.num_users,
-        ),
-    )
+    config = leg.config
     generators = [np.random.default_rng([leg.seed, cell]) for cell in range(leg.cells)]
-    made = World(config, load_layout(leg.layout), generators)
+    made = World(config, load_layout(config.world.layout), generators)
     made.place(np.arange(leg.cells), generators)
     rng = np.random.default_rng(leg.seed)
     solid = Solid([made.office(e).layout for e in range(leg.cells)], hull_height(config))
@@ -264,6 +310,7 @@ def summary(leg: Leg, log: Log) -> pd.DataFrame:
         {
             "drive": leg.drive,
             "layout": leg.layout,
+            "corner": leg.corner,
             "driver": name,
             "slots": log.broken[:, driver == index].size,
             "penetrations": log.penetrations[:, driver == index].sum(),
@@ -276,13 +323,19 @@ def summary(leg: Leg, log: Log) -> pd.DataFrame:
 
 
 def shown(summaries: pd.DataFrame) -> Table:
-    """The rows by drive and layout, by drive and driver, and by drive."""
+    """The rows by drive, and of each drive by layout and driver, and then by corner."""
     headings = ("slots", "penetrations", "least\nclearance\n\\[m]", "highest\nspeed\n\\[m/s]", "out of\nroom")
     table = Table("drive", "part", *headings)
     for column in table.columns[2:]:
         column.justify = "right"
     for drive, rows in summaries.groupby("drive"):
-        groups = [("all", rows), *rows.groupby("layout"), *rows.groupby("driver")]
+        at = rows["corner"] != "within"
+        groups = [
+            ("all", rows),
+            *rows[~at].groupby("layout"),
+            *rows[~at].groupby("driver"),
+            *rows[at].groupby("corner"),
+        ]
         for name, group in groups:
             table.add_row(
                 str(drive),

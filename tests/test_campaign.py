@@ -1,10 +1,12 @@
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mjris.config import ConfigError
 from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room
 
 
@@ -24,6 +26,15 @@ campaign = load_campaign()
 
 def leg(drive: str, layout: str, jitter_m: float, slots: int, cells: int):
     return campaign.Leg(drive, layout, jitter_m, 12, cells=cells, slots=slots, seed=7)
+
+
+def needed_m(world) -> float:
+    """The least bumper that is allowed at the speed, tick and mast of `world`."""
+    try:
+        replace(world, bumper_m=0.02)
+    except ConfigError as refused:
+        return float(str(refused).split(" needs ")[1].split()[0])
+    return 0.02
 
 
 @pytest.mark.parametrize(
@@ -48,6 +59,20 @@ def test_a_short_campaign_keeps_every_promise(drive, layout, jitter_m, slots, ce
     assert log.speed_mps.max() > 0.4
 
 
+@pytest.mark.parametrize("drive", ["kinematic", "wheels"])
+@pytest.mark.parametrize("corner", campaign.CORNERS)
+def test_a_short_campaign_keeps_every_promise_at_the_corners(corner, drive):
+    slots = 2 if "slot" in corner else 10
+    played = campaign.Leg(drive, "office", 0.0, 12, cells=10, slots=slots, seed=7, corner=corner)
+    world = played.config.world
+    if corner not in ("widest panel", "fast walkers"):
+        assert world.bumper_m - needed_m(world) < 0.01  # else it were no corner
+    log = campaign.play(played, lambda: None)
+    assert not log.broken.any()
+    assert log.clearance_m.min() < world.bumper_m + 0.05
+    assert log.speed_mps.max() > 0.6 * world.max_speed_mps
+
+
 def test_each_broken_promise_shows():
     kept = {"penetrations": 0, "clearance_m": 0.1, "speed_mps": 0.5, "inside": True}
 
@@ -63,12 +88,15 @@ def test_each_broken_promise_shows():
 
 
 def test_the_plan_has_the_slots_that_were_asked_for():
-    legs = campaign.plan(campaign.Campaign(kinematic_slots=5000, wheels_slots=700, cells=7))
+    legs = campaign.plan(campaign.Campaign(kinematic_slots=5000, wheels_slots=700, corner_slots=60, cells=7))
+    within = [leg for leg in legs if leg.corner == "within"]
     for drive, wanted in [("kinematic", 5000), ("wheels", 700)]:
-        slots = sum(leg.slots * leg.cells for leg in legs if leg.drive == drive)
+        slots = sum(leg.slots * leg.cells for leg in within if leg.drive == drive)
         assert wanted <= slots <= wanted + 9 * 7
-    assert {leg.layout for leg in legs} == {"office", "open", "clinic"}
-    assert {leg.num_users for leg in legs} == {4, 12}
+        assert [leg.slots * leg.cells for leg in legs if leg.drive == drive][9:] == [63] * len(campaign.CORNERS)
+    assert {leg.layout for leg in within} == {"office", "open", "clinic"}
+    assert {leg.num_users for leg in within} == {4, 12}
+    assert campaign.plan(campaign.Campaign(corner_slots=0))[-1].corner == "within"
 
 
 def test_a_broken_promise_ends_in_status_one(monkeypatch, capsys):

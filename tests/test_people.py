@@ -93,6 +93,26 @@ def test_nobody_steps_toward_a_rover_that_has_come_close():
     assert near > 100
 
 
+def test_a_long_step_does_not_lead_through_the_rover():
+    slow = {"ticks_per_slot": 1, "max_speed_mps": 0.3, "bumper_m": 0.35, "clearance_m": 0.35}
+    made, _ = cells(1, layout="open", num_users=4, **slow)
+    limit = PERSON_RADIUS_M + made.hull_radius_m + 0.35
+    # One through the rover, one past it, one away from it and one up to it, 2.4 m each.
+    offset = np.array([[-1.2, 0.0], [-1.2, limit + 0.01], [0.0, -limit + 0.1], [3.4, 0.0]])
+    direction = np.array([[0.0, 0.0, -math.pi / 2, math.pi]])
+    made.crowd.place(np.array([0]), made.fleet.xy[:, None] + offset)
+    start = made.crowd.xy[0]
+    aside = np.array([[1.0, 8.0], [1.0, 6.0], [14.0, 8.0], [14.0, 6.0]])
+    # One after the other, so that nobody is in anybody's way.
+    for k, walks in enumerate([False, True, True, True]):
+        distance = np.where(np.arange(4) == k, 2.4, 0.0)[None]
+        others = np.arange(4) != k
+        made.crowd.place(np.array([0]), np.where(others[:, None], aside, start)[None])
+        before = made.crowd.xy[0, k]
+        made.move(np.zeros((1, 2)), distance, direction)
+        assert np.linalg.norm(made.crowd.xy[0, k] - before) == pytest.approx(2.4 if walks else 0.0)
+
+
 def test_mean_walk_is_rayleigh(tmp_path):
     path = tmp_path / "hall.toml"
     path.write_text(

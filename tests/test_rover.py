@@ -1,6 +1,9 @@
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's names come from a compiled module.
 import math
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from mjris.config import Config
 from mjris.config import World as WorldConfig
 from mjris.world.drives import StraightDrive, _may_be_stopped
 from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, load_layout
+from mjris.world.office import build
 from mjris.world.rover import free_travel
 from mjris.world.world import World
 
@@ -261,3 +265,41 @@ def test_the_bumper_is_read_wherever_it_could_stop_the_rover():
             stopped, unread = stopped + stops, unread + (not read and made.clearance()[cell] < 0.15)
     assert stopped > 300
     assert unread > 100  # or nothing would be saved
+
+
+def test_a_displacement_that_is_no_number_stays_in_its_cell():
+    made = alone(empty(), 3, "kinematic")
+    made.move(np.array([[0.3, 0.0], [math.nan, math.nan], [0.0, 0.3]]), np.zeros((3, 2)), np.zeros((3, 2)))
+    np.testing.assert_allclose(made.fleet.xy[[0, 2]], [[7.3, 7.0], [7.0, 7.3]])
+
+
+@pytest.mark.parametrize("panel_height_m", [0.6, 1.5, 2.2])
+def test_braking_follows_from_the_mast(panel_height_m):
+    config = Config(world=WorldConfig(panel_height_m=panel_height_m))
+    office = build(config, empty())
+    model, data = office.model, mujoco.MjData(office.model)
+    data.qpos[office.rover_qpos : office.rover_qpos + 2] = 7.0
+    mujoco.mj_forward(model, data)
+    centre_m = data.subtree_com[model.body("rover/chassis").id, 2]
+    caster_m = model.geom("rover/caster_front").pos[0]
+    assert config.world.braking_mps2 == pytest.approx(9.81 / (1 + centre_m / caster_m), rel=1e-3)
+    wheels = [model.actuator(f"rover/wheel_{side}").id for side in ("left", "right")]
+    data.ctrl[wheels] = 1.5 / 0.08
+    mujoco.mj_step(model, data, 150)
+    speed, before = np.linalg.norm(data.qvel[:2]), data.qpos[office.rover_qpos]
+    data.ctrl[wheels] = 0
+    mujoco.mj_step(model, data, 100)
+    servo_m = 0.009
+    rolled = data.qpos[office.rover_qpos] - before
+    assert rolled == pytest.approx(speed**2 / 2 / config.world.braking_mps2 + servo_m, rel=0.1)
+
+
+@pytest.mark.parametrize("timestep_s", [0.02, 0.005])
+def test_a_rover_that_is_to_stand_stands(timestep_s):
+    made = alone(empty(), 1, "wheels", panel_height_m=2.2, timestep_s=timestep_s)
+    slot(made, np.array([[0.1, 0.0]]))
+    places = []
+    made.on_tick = lambda: places.append(made.fleet.xy[0])
+    for _ in range(4):
+        slot(made, np.zeros((1, 2)))
+    assert np.ptp(places[10:], axis=0).max() < 2e-3

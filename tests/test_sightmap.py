@@ -1,10 +1,12 @@
+import math
+
 import numpy as np
 import pytest
 
 from mjris.config import Config
 from mjris.config import World as WorldConfig
 from mjris.world.layout import load_layout
-from mjris.world.sightmap import square
+from mjris.world.sightmap import Grid, square
 from mjris.world.world import World
 
 
@@ -51,3 +53,20 @@ def test_places_outside_belong_to_the_nearest_square():
     outside, inside = np.array([[[-3.0, 25.0]]]), np.array([[[0.1, 19.9]]])
     low = np.array([[[7.0, 7.0]]])
     np.testing.assert_array_equal(seen(made, low, outside), seen(made, low, inside))
+
+
+def test_every_number_has_a_square():
+    grid, numbers = Grid(0.5, 0.0, 5, 7), [math.nan, math.inf, -math.inf, 1e300, -1e300, 0.0]
+    column = [0, 4, 0, 4, 0, 0]
+    row = [0, 6, 0, 6, 0, 0]
+    for x, c in zip(numbers, column, strict=True):
+        assert [square(grid, x, y) for y in numbers] == [7 * c + r for r in row]
+    # 1.24 and 1.26 m are on either side of the border between the second square, at 1 m, and the third.
+    assert [square(grid, 1.24, y) for y in (-0.24, 0.26, 2.74, 2.76, 9.0)] == [7, 8, 12, 13, 13]
+    assert square(grid, 1.26, 0.0) == 14
+
+
+def test_more_obstacles_than_can_be_counted_are_as_many(monkeypatch):
+    made = world(1)
+    monkeypatch.setattr(made.sight_map._sight, "blockers", lambda _, end, **__: np.full(end.shape[:2], 255))
+    assert (made.sight_map.blockers(np.array([[[7.0, 7.0]]]))[0, 0] == 127).all()

@@ -81,3 +81,28 @@ def test_of_equally_good_ways_around_somebody_the_left_one_is_taken():
         start = np.array([[4.0, 3.0]])
         aim = paths().around(start, start + 2 * ahead, (start + 0.8 * ahead)[None], 0.6)[0] - start[0]
         assert ahead[0] * aim[1] - ahead[1] * aim[0] > 0.1
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e200])
+def test_places_that_no_number_names_neither_crash_nor_hang(bad):
+    corner, elsewhere = (0.5, 0.5, 0.6, 0.6), (7.0, 5.0, 0.1, 0.1)
+    offices = np.array([[*WALLS, PARTITION, corner], [*WALLS, PARTITION, elsewhere]])
+    x, y, a, b = np.moveaxis(offices, -1, 0)
+    solid = Footprints(np.stack([x, y]), np.stack([a, b]), np.stack([np.ones_like(x), np.zeros_like(x)]))
+    made = Paths(solid, (8, 6), np.array([1.0, 2.0]), KEEP_M)
+    assert made.reachable[:, 0].tolist() == [False, True]
+    good = np.array([[6.0, 1.0], [6.0, 1.0]])
+    for place in (np.array([[bad, 1.0]] * 2), np.array([[1.0, bad]] * 2), np.full((2, 2), bad)):
+        for office in (0, 1):
+            first, _ = first_nodes(made.graph, office, *place[office])
+            _, _, last, _ = last_nodes(made.graph, office, *place[office])
+            for near in (first, last):
+                assert len(near) == made.graph.tried
+                assert ((near >= 0) & (near < len(made.nodes))).all()
+        for start, goal in ((place, good), (good, place), (place, place)):
+            assert made.toward(start, goal).shape == (2, 2)
+            assert made.distance(start, goal).shape == (2,)
+        length = made.distance_to_nodes(place)
+        integral = made.along(length, np.ones(2), np.ones(length.shape), np.inf)
+        assert integral.shape == length.shape == (2, len(made.nodes))
+        assert made.around(place, good, good[:, None], 0.6).shape == (2, 2)

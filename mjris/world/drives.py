@@ -27,6 +27,8 @@ _APPROACH_PER_S = 4.0
 """Speed per distance left, so that the rover slows down before its target [1/s]."""
 _TURN_PER_S = 4.0
 """Turning rate per heading error [1/s]."""
+_SWEPT = (0.0, 0.5, 1.0)
+"""Shares of a tick's turn at which its direction must be free."""
 _MAX_TURN_RADPS = 3.0
 _ARRIVED_M = 0.01
 _SPEED_SHARE = 0.97
@@ -211,6 +213,8 @@ def _wheel_speeds(
 ) -> FloatArray:
     """Angular speeds [E, 2] [rad/s] of the left and the right wheel toward `target` [E, 2] [m] for a tick."""
     speeds = np.empty((len(pose), 2))
+    # A long tick must not lead beyond its target.
+    approach_per_s, turn_per_s = min(_APPROACH_PER_S, 1 / tick_s), min(_TURN_PER_S, 1 / tick_s)
     for cell in range(len(pose)):
         x, y = target[cell, 0] - pose[cell, 0], target[cell, 1] - pose[cell, 1]
         length, heading, gear = math.hypot(x, y), heading_of(pose[cell]), 1.0
@@ -221,9 +225,12 @@ def _wheel_speeds(
             error = error % (2 * math.pi) - math.pi
         speed, turn = 0.0, 0.0
         if length > _ARRIVED_M:
-            speed = min(_APPROACH_PER_S * length, max_speed_mps) * math.cos(error) ** 4
-            turn = min(max(_TURN_PER_S * error, -_MAX_TURN_RADPS), _MAX_TURN_RADPS)
-        travel = free_travel(bumper, cell, gear * math.cos(heading), gear * math.sin(heading))
+            speed = min(approach_per_s * length, max_speed_mps) * math.cos(error) ** 4
+            turn = min(max(turn_per_s * error, -_MAX_TURN_RADPS), _MAX_TURN_RADPS)
+        travel = np.inf
+        for share in _SWEPT:
+            ahead = heading + share * turn * tick_s
+            travel = min(travel, free_travel(bumper, cell, gear * math.cos(ahead), gear * math.sin(ahead)))
         speed = gear * min(speed * _SPEED_SHARE, travel / tick_s)
         speeds[cell, 0] = (speed - _HALF_TRACK_M * turn) / _WHEEL_RADIUS_M
         speeds[cell, 1] = (speed + _HALF_TRACK_M * turn) / _WHEEL_RADIUS_M

@@ -5,24 +5,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjris.config import ConfigError
+from mjris.config import Config, ConfigError
+from mjris.world.fit import check_fit
 from mjris.world.layout import Layout
 from mjris.world.layout_checks import check_layout
 
 _TRIES = 3
 
 
-def jittered(layout: Layout, distance_m: float, rng: np.random.Generator) -> Layout:
-    """The layout with every obstacle moved by up to `distance_m` [m], uniformly over the disc.
+def jittered(layout: Layout, config: Config, rng: np.random.Generator) -> Layout:
+    """The layout with every obstacle moved by up to `world.layout_jitter_m`, uniformly over the disc.
 
-    An obstacle that would meet a wall, another one or the rover's start stays where it is.
+    An obstacle that would meet a wall or another one, or leave the rover too little room, stays where it is.
     """
+    distance_m = config.world.layout_jitter_m
     for index in range(len(layout.obstacles)):
         for _ in range(_TRIES):
             radius, angle = distance_m * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
             moved = _moved(layout, index, radius * math.cos(angle), radius * math.sin(angle))
             try:
                 check_layout(moved)
+                check_fit(config, moved)
             except ConfigError:
                 continue
             layout = moved

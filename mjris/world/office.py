@@ -30,8 +30,12 @@ WALL_THICKNESS_M = 0.1
 PERSON_RADIUS_M = 0.22
 PERSON_HEIGHT_M = 1.75
 HULL_FLOOR_GAP_M = 0.03
+CHASSIS_HEIGHT_M = 0.2
+"""Top of the rover's chassis above the floor, below which no panel reaches."""
 _AXLE_HEIGHT_M = 0.08
 _HULL_MIN_RADIUS_M = 0.25
+_FRAME_M = 0.01
+"""The board is that much larger than its elements on every side."""
 
 
 def hull_radius(config: Config) -> float:
@@ -43,6 +47,11 @@ def hull_radius(config: Config) -> float:
 def hull_height(config: Config) -> float:
     """Height of the hull's top above the floor [m]."""
     return config.world.panel_height_m + config.radio.panel_rows * config.radio.wavelength_m / 4 + 0.05
+
+
+def panel_bottom(config: Config) -> float:
+    """Height of the panel's lower edge above the floor [m]."""
+    return config.world.panel_height_m - config.radio.panel_rows * config.radio.wavelength_m / 4 - _FRAME_M
 
 
 def feeler_reach(config: Config) -> float:
@@ -247,7 +256,7 @@ def _panel(config: Config) -> mujoco.MjSpec:
     ris = _part("ris")
     spacing = config.radio.wavelength_m / 2
     rows, cols = config.radio.panel_rows, config.radio.panel_cols
-    ris.geom("board").size = [0.006, cols * spacing / 2 + 0.01, rows * spacing / 2 + 0.01]
+    ris.geom("board").size = [0.006, cols * spacing / 2 + _FRAME_M, rows * spacing / 2 + _FRAME_M]
     panel = ris.body("panel")
     for n in range(rows * cols):
         row, col = divmod(n, cols)

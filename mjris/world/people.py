@@ -81,10 +81,12 @@ def walk(people: Walkers, cell: int, rover_x: float, rover_y: float) -> float:
     for k in range(people.xy.shape[1]):
         away_x, away_y = people.xy[cell, k, 0] - rover_x, people.xy[cell, k, 1] - rover_y
         step_x, step_y = people.step[cell, k, 0], people.step[cell, k, 1]
-        next_x, next_y = away_x + step_x / people.ticks, away_y + step_y / people.ticks
-        gap = next_x * next_x + next_y * next_y
+        u, v = step_x / people.ticks, step_y / people.ticks
         # Whom the rover has come close to may still walk away from it.
-        if gap >= people.from_rover_m**2 or gap > away_x * away_x + away_y * away_y:
+        nearing = -(away_x * u + away_y * v)
+        share = 0.0 if nearing <= 0 else min(nearing / (u * u + v * v), 1.0)
+        passing_x, passing_y = away_x + share * u, away_y + share * v
+        if nearing <= 0 or passing_x * passing_x + passing_y * passing_y >= people.from_rover_m**2:
             people.walked[cell, k] += 1
         # From the start, not from the last place: ticks lead to the same number as one leap.
         share = people.walked[cell, k] / people.ticks

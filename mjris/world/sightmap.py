@@ -13,6 +13,8 @@ IntArray = NDArray[np.int64]
 
 _SQUARE_M = 0.5
 _UNKNOWN = -1
+_MOST = 127
+"""More obstacles than an int8 can count are as many."""
 
 
 class Grid(NamedTuple):
@@ -66,15 +68,21 @@ class SightMap:
         return self.blockers(low)
 
     def _cast(self, cells: IntArray, start: FloatArray, end: FloatArray) -> NDArray[np.int8]:
-        return self._sight.blockers(start, end, ids=cells).astype(np.int8)
+        return np.minimum(self._sight.blockers(start, end, ids=cells), _MOST).astype(np.int8)
 
 
 @compiled
 def square(grid: Grid, x: float, y: float) -> int:
     """The number of the square that a place lies in, the nearest one for a place outside."""
-    column = min(max(np.rint((x - grid.x_m) / _SQUARE_M), 0), grid.columns - 1)
-    row = min(max(np.rint((y - grid.y_m) / _SQUARE_M), 0), grid.rows - 1)
-    return int(column) * grid.rows + int(row)
+    return _line((x - grid.x_m) / _SQUARE_M, grid.columns) * grid.rows + _line((y - grid.y_m) / _SQUARE_M, grid.rows)
+
+
+@compiled
+def _line(place: float, count: int) -> int:
+    """The whole number in [0, count) that is nearest to a place; 0 for NaN, which no comparison holds for."""
+    if place >= count - 1:
+        return count - 1
+    return int(np.rint(place)) if place > 0 else 0
 
 
 @compiled

@@ -93,7 +93,9 @@ def next_places(graph: Graph, start: FloatArray, goal: FloatArray) -> FloatArray
             _, node, end = shortest(graph, office, first, first_m, last, last_m)
             # The first node is where to go when nothing is in free sight, as it is for a rover too close to something.
             places[cell] = graph.nodes[node]
-            while node != end:
+            for _ in range(len(graph.nodes)):  # no way has more nodes, whatever numbers come in
+                if node == end:
+                    break
                 node = next_node(graph, office, node, end)
                 if _sees(graph, office, x, y, graph.nodes[node, 0], graph.nodes[node, 1]):
                     places[cell] = graph.nodes[node]
@@ -220,8 +222,8 @@ def _lengths_in_sight(graph: Graph, office: int, x: float, y: float, nodes: IntA
 
 @compiled
 def _nearest(graph: Graph, office: int, x: float, y: float) -> IntArray:
-    """The reachable nodes nearest to a place, nearest first."""
-    near, squared = np.empty(graph.tried, np.int64), np.full(graph.tried, np.inf)
+    """The reachable nodes nearest to a place, nearest first; of a place that no number names, the first node."""
+    near, squared = np.zeros(graph.tried, np.int64), np.full(graph.tried, np.inf)
     for node in range(len(graph.nodes)):
         dx, dy = graph.nodes[node, 0] - x, graph.nodes[node, 1] - y
         away = dx * dx + dy * dy

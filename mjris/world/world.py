@@ -7,8 +7,9 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from mjris.config import Config, ConfigError
+from mjris.config import Config
 from mjris.world.drives import make_fleet
+from mjris.world.fit import WAY_MARGIN_M, check_fit, kept_distance, rover_start
 from mjris.world.footprints import footprints
 from mjris.world.jitter import jittered
 from mjris.world.layout import Layout
@@ -23,6 +24,7 @@ from mjris.world.office import (
 )
 from mjris.world.paths import Paths
 from mjris.world.people import Crowd
+from mjris.world.placement import Placement
 from mjris.world.rover import Motion
 from mjris.world.sight import Sight
 from mjris.world.sightmap import SightMap
@@ -30,29 +32,31 @@ from mjris.world.sightmap import SightMap
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
-_PLACING_TRIES = 2000
-_WAY_MARGIN_M = 0.05
-"""Planned ways leave this much more room than the bumper asks for, a tick's way at the default speed."""
-
 
 class World:
     """E offices stepped together. Cell e has furniture of its own if the layout is jittered."""
 
     def __init__(self, config: Config, layout: Layout, generators: list[np.random.Generator]):
-        """`generators` [E] place each cell's furniture."""
+        """`generators` [E] place each cell's furniture.
+
+        Raises `ConfigError` where rover, panel, antennas or people do not fit into the layout.
+        """
+        check_fit(config, layout)
         self.config = config.world
         self.num_cells = len(generators)
         jitter = config.world.layout_jitter_m
-        layouts = [jittered(layout, jitter, rng) for rng in generators] if jitter > 0 else [layout]
+        layouts = [jittered(layout, config, rng) for rng in generators] if jitter > 0 else [layout]
+        self.start = np.array(rover_start(config, layout))
+        """Where rovers start [2] [m]."""
+        self._placement = Placement(config, layouts, self.start)
         self.offices = [build(config, each) for each in layouts]
         office = self.offices[0]
         # The straight drive asks for little at a time: waking threads costs more than they save.
         self.batch = Batch(office.model, self.num_cells, nthread=1 if config.world.drive == "kinematic" else 0)
         if jitter > 0:
             self.batch.set_models([each.model for each in self.offices])
-        self.start = np.array(layout.start if config.world.start_m is None else config.world.start_m)
-        """Where rovers start [2] [m]."""
         self.hull_radius_m = hull_radius(config)
+        self._keep_m = kept_distance(config)
         self._hull_solid = footprints(self.offices, HULL_FLOOR_GAP_M, hull_height(config))
         self._body_solid = footprints(self.offices, 0.0, PERSON_HEIGHT_M)
         self.crowd = Crowd(config.world, office, self.batch, self._body_solid)
@@ -80,7 +84,7 @@ class World:
         if self.config.start_heading_deg is not None:
             heading[:] = np.radians(self.config.start_heading_deg)
         self.fleet.place(cells, np.broadcast_to(self.start, (len(cells), 2)), heading)
-        places = [self._free_places(int(e), rng) for e, rng in zip(cells, generators, strict=True)]
+        places = [self._placement.draw(int(e), rng) for e, rng in zip(cells, generators, strict=True)]
         self.crowd.place(cells, np.stack(places))
 
     def move(
@@ -128,8 +132,7 @@ class World:
     def paths(self) -> Paths:
         """Shortest ways for the rovers, worked out when first asked for."""
         layout = self.office(0).layout
-        keep_m = self.hull_radius_m + self.config.bumper_m + _WAY_MARGIN_M
-        return Paths(self._hull_solid, layout.room.size[:2], self.start, keep_m)
+        return Paths(self._hull_solid, layout.room.size[:2], self.start, self._keep_m + WAY_MARGIN_M)
 
     @cached_property
     def sight_map(self) -> SightMap:
@@ -139,30 +142,6 @@ class World:
         room = np.array(layout.room.size[:2])
         return SightMap(
             Sight(self.offices), room, self.start, ap, self.config.user_height_m, self.config.panel_height_m
-        )
-
-    def _free_places(self, cell: int, rng: np.random.Generator) -> FloatArray:
-        """Random places [K, 2] [m] with clearance from everything."""
-        office = self.office(cell)
-        low, high = np.zeros(2), np.array(office.layout.room.size[:2])
-        solid = self._body_solid.of(np.array([cell]))
-        chosen: list[FloatArray] = []
-        gaps = [self.hull_radius_m + PERSON_RADIUS_M + self.config.clearance_m]
-        taken = [self.start]
-        for _ in range(_PLACING_TRIES):
-            place = rng.uniform(low, high)
-            if solid.distance(place[None, None])[0, 0] < PERSON_RADIUS_M + self.config.clearance_m:
-                continue
-            if any(np.linalg.norm(place - other) < gap for other, gap in zip(taken, gaps, strict=True)):
-                continue
-            chosen.append(place)
-            taken.append(place)
-            gaps.append(2 * PERSON_RADIUS_M + self.config.clearance_m)
-            if len(chosen) == self.config.num_users:
-                return np.stack(chosen)
-        raise ConfigError(
-            f"world.num_users: {self.config.num_users} is not allowed: "
-            f"layout {office.layout.name!r} has room for {len(chosen)} people at most"
         )
 
 
