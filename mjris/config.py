@@ -214,6 +214,15 @@ class Agent:
     warmup_slots: Annotated[int, Field(ge=0)] = 200
     """Slots with random actions before the first update."""
 
+    @model_validator(mode="after")
+    def _only_plain_networks_are_cautious(self) -> "Agent":
+        if self.caution > 0 and self.network == "paper":
+            raise ValueError(
+                f"agent.caution: {self.caution} is not allowed: it must be 0 where agent.network is 'paper', as only "
+                "mlp networks have it"
+            )
+        return self
+
 
 @_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -228,6 +237,8 @@ class Federation:
     """F_G, episodes between two averages."""
     averaging: bool = True
     """Whether agents are averaged at all; without it they learn alone."""
+    first_weights: Literal["own", "common"] = "own"
+    """own: every cell starts from random weights of its own, as in the paper; common: all from those of cell 0."""
     backend: Literal["auto", "stacked", "processes"] = "auto"
     """stacked: cells learn in lockstep, as many at once as a process has; processes: one by one; auto: the faster."""
     workers: Annotated[int, Field(ge=0)] = 0
@@ -295,7 +306,7 @@ def describe(error: ValidationError, section: str = "") -> str:
     first = error.errors()[0]
     field = ".".join(str(part) for part in ((section,) if section not in ("", "config") else ()) + first["loc"])
     message = first["msg"].removeprefix("Value error, ")
-    if message.startswith(("world.", "radio.")):
+    if message.startswith(("world.", "radio.", "agent.")):
         return message
     if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{field} is not a known field"

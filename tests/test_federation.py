@@ -190,6 +190,18 @@ def test_cells_do_not_depend_on_who_else_runs():
     assert not torch.equal(results[0][0]["actor.mu.1.weight"], results[1][0]["actor.mu.1.weight"])
 
 
+def test_first_weights_are_each_cells_own_or_those_of_cell_0_and_noise_is_always_its_own():
+    own, common = (
+        [toy_cell(u, num_cells=3, first_weights=choice)._agent for u in range(3)] for choice in ("own", "common")
+    )
+    weights = [[agent.actor.state_dict()["mu.1.weight"] for agent in agents] for agents in (own, common)]
+    assert all(torch.equal(weight, weights[0][0]) for weight in weights[1])
+    assert not torch.equal(weights[0][1], weights[0][0])
+    noise = [[agent.action_noise() for agent in agents] for agents in (own, common)]
+    np.testing.assert_array_equal(*noise)
+    assert len({sample.tobytes() for sample in noise[0]}) == 3
+
+
 def test_cells_start_from_weights_of_their_own_but_share_the_seeds_of_their_environments():
     seeds: dict[int, list[int]] = {0: [], 1: []}
 

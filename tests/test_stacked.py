@@ -249,9 +249,10 @@ def assert_same_run(stacked: list, plain: list, atol: float, ignore: Sequence[st
                     assert getattr(row, name) == pytest.approx(getattr(other, name), abs=atol)
 
 
+@pytest.mark.parametrize("first_weights", ["own", "common"])
 @pytest.mark.parametrize("agent", [{}, {"warmup_slots": 25}, {"buffer_size": 15}])
-def test_a_short_run_agrees_with_cells_one_by_one(agent: dict):
-    config = toy_config(agent=agent, num_cells=3)
+def test_a_short_run_agrees_with_cells_one_by_one(agent: dict, first_weights: str):
+    config = toy_config(agent=agent, num_cells=3, first_weights=first_weights)
     stacked = rounds(StackedCells(config, ToyEnv, None))
     assert_same_run(stacked, rounds(LocalCells(config, range(3), ToyEnv, None)), 1e-5)
 

@@ -8,11 +8,12 @@ from typing import Any, Generic, TypeVar
 import gymnasium as gym
 import numpy as np
 import torch
+from stable_baselines3 import DDPG
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, configure
 
 from mjris.config import Config
-from mjris.learn.agent import build_agent
+from mjris.learn.agent import build_agent, weights_seed
 from mjris.streams import Purpose, generator, word
 
 P = TypeVar("P")
@@ -183,7 +184,7 @@ class Cell:
     def __init__(self, config: Config, index: int, make_env: EnvFactory, log_dir: Path | None = None):
         self._config = config
         self._index = index
-        self._agent = build_agent(config, make_env(config, index), agent_generator(config, index))
+        self._agent = untrained_agent(config, index, make_env(config, index))
         if log_dir is not None:
             self._agent.set_logger(configure(str(log_dir), ["tensorboard"]))
         self._rounds = InOrder(self._train, f"cell {index}")
@@ -243,8 +244,14 @@ def episodes_of(config: Config, round_: int) -> range:
     return range(first, min(first + federation.round_episodes, federation.episodes + 1))
 
 
-def agent_generator(config: Config, cell: int) -> np.random.Generator:
-    """What a cell's agent draws its first weights and its exploration noise from."""
+def untrained_agent(config: Config, cell: int, env: gym.Env) -> DDPG:
+    """A cell's agent at the start: noise of its own, and first weights as `federation.first_weights` has them."""
+    common = config.federation.first_weights == "common"
+    first_weights = weights_seed(_agent_generator(config, 0)) if common else None
+    return build_agent(config, env, _agent_generator(config, cell), first_weights)
+
+
+def _agent_generator(config: Config, cell: int) -> np.random.Generator:
     return generator(config.named_seed, Purpose.AGENT, cell)
 
 

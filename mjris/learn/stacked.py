@@ -17,18 +17,18 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv, OfficeVecEnv
-from mjris.learn.agent import DecayingOUNoise, build_agent
+from mjris.learn.agent import DecayingOUNoise
 from mjris.learn.federation import (
     EnvFactory,
     EpisodeMetrics,
     InOrder,
     State,
-    agent_generator,
     environment_seed,
     episode_metrics,
     episodes_of,
     learning_seed,
     record_episode,
+    untrained_agent,
 )
 from mjris.learn.replay import ReplayMemory
 from mjris.learn.stack import StackedDDPG
@@ -73,9 +73,7 @@ class StackedRuns:
         ends = np.cumsum([len(group) for group in groups]).tolist()
         self._slices = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
         """Members in each environment."""
-        self._agents = [
-            build_agent(configs[g], _Outline(self._envs[0]), agent_generator(configs[g], u)) for g, u in self._members
-        ]
+        self._agents = [untrained_agent(configs[g], u, _Outline(self._envs[0])) for g, u in self._members]
         for (g, u), agent in zip(self._members, self._agents, strict=True):
             if (log_dir := log_dirs[g]) is not None:
                 agent.set_logger(configure(str(log_dir / f"cell_{u}"), ["tensorboard"]))
@@ -102,7 +100,7 @@ class StackedRuns:
     def agent(self, run: int, cell: int) -> DDPG:
         """A cell's agent by itself as it is now, with its replay memory and an environment of its own."""
         config, index = self._configs[run], self._members.index((run, cell))
-        agent = build_agent(config, self._make_env(config, cell), agent_generator(config, cell))
+        agent = untrained_agent(config, cell, self._make_env(config, cell))
         self._store(index, agent)
         agent.action_noise = copy.deepcopy(self._agents[index].action_noise)
         assert agent.replay_buffer is not None
