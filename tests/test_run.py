@@ -39,7 +39,8 @@ def test_metrics_have_a_row_an_episode_and_cell(finished):
     out, reports = finished
     table = pd.read_csv(out / "metrics.csv")
     assert list(table.columns) == [
-        *("round", "episode", "cell", "reward", "sum_rate_mbps", "qos_share", "collisions", "clearance_m")
+        *("round", "episode", "cell", "reward", "sum_rate_mbps", "bare_rate_mbps", "qos_share"),
+        *("collisions", "clearance_m"),
     ]
     assert table["round"].tolist() == [1] * 4 + [2] * 4 + [3] * 2
     assert table["episode"].tolist() == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
@@ -68,10 +69,12 @@ def test_tensorboard_has_a_point_an_episode(finished):
     for u in (0, 1):
         events = EventAccumulator(str(out / "tensorboard" / f"cell_{u}"))
         events.Reload()
-        points = events.Scalars("episode/sum_rate_mbps")
-        assert [point.step for point in points] == [10, 20, 30, 40, 50]
-        expected = table.loc[table["cell"] == u, "sum_rate_mbps"]
-        np.testing.assert_allclose([point.value for point in points], expected, rtol=1e-6)
+        own = table[table["cell"] == u]
+        gain = 100 * (own.sum_rate_mbps / own.bare_rate_mbps - 1)
+        for name, expected in (("sum_rate_mbps", own.sum_rate_mbps), ("gain_percent", gain)):
+            points = events.Scalars(f"episode/{name}")
+            assert [point.step for point in points] == [10, 20, 30, 40, 50]
+            np.testing.assert_allclose([point.value for point in points], expected, rtol=1e-6)
 
 
 def test_loaded_policy_acts_and_lasts(finished):
@@ -141,6 +144,7 @@ def row(episode: int, sum_rate_mbps: float, qos_share: float, collisions: int) -
         cell=0,
         reward=0.0,
         sum_rate_mbps=sum_rate_mbps,
+        bare_rate_mbps=1.0,
         qos_share=qos_share,
         collisions=collisions,
         clearance_m=0.1,
