@@ -1,4 +1,7 @@
+import json
+import pickle
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pandas as pd
@@ -29,7 +32,10 @@ def states(run_dir: Path) -> list[dict[str, torch.Tensor]]:
 
 def test_run_folder_has_its_parts(finished):
     out, _ = finished
-    assert sorted(path.name for path in out.iterdir()) == ["checkpoints", "config.json", "metrics.csv", "tensorboard"]
+    parts = ["checkpoints", "config.json", "metrics.csv", "provenance.json", "tensorboard"]
+    assert sorted(path.name for path in out.iterdir()) == parts
+    made_by = json.loads((out / "provenance.json").read_text())
+    assert made_by["backend"] == "2 cells learn one after the other in this process"
     assert load(out / "config.json") == toy_config()
     zips = sorted(str(path.relative_to(out / "checkpoints")) for path in out.glob("checkpoints/*/*"))
     assert zips == [f"round_000{round_}/cell_{u}.zip" for round_ in (1, 2, 3) for u in (0, 1)]
@@ -133,6 +139,19 @@ def test_loading_refuses_a_checkpoint_that_does_not_fit(finished, tmp_path: Path
     (folder / "cell_0.zip").write_bytes(content if damage == "config" else content[: len(content) // 2])
     agent = {"hidden": (16,)} if damage == "config" else None
     (tmp_path / "config.json").write_text(toy_config(agent=agent).to_json())
+    with pytest.raises(ConfigError, match="is damaged or does not fit"):
+        load_policy(tmp_path, make_env=ToyEnv)
+
+
+@pytest.mark.parametrize("held", [pickle.dumps(print), pickle.dumps([1]), pickle.dumps({"actor": 1}), b"", b"text"])
+def test_loading_refuses_a_checkpoint_of_anything_but_tensors(finished, tmp_path: Path, held: bytes):
+    out, _ = finished
+    path = tmp_path / "checkpoints" / "round_0001" / "cell_0.zip"
+    path.parent.mkdir(parents=True)
+    with ZipFile(out / "checkpoints" / "round_0003" / "cell_0.zip") as whole, ZipFile(path, "w") as changed:
+        for name in whole.namelist():
+            changed.writestr(name, held if name == "policy.pth" else whole.read(name))
+    (tmp_path / "config.json").write_text(toy_config().to_json())
     with pytest.raises(ConfigError, match="is damaged or does not fit"):
         load_policy(tmp_path, make_env=ToyEnv)
 

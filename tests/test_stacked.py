@@ -1,4 +1,3 @@
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -463,12 +462,12 @@ def test_failures_in_a_stack_reach_the_caller():
 def test_the_faster_backend_is_picked_unless_one_is_asked_for(
     monkeypatch: pytest.MonkeyPatch, asked: str, cells: int, cores: int, make_env, chosen: str
 ):
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr("mjris.learn.workers.CORES", cores)
     assert backend(office_config(num_cells=cells, backend=asked), make_env) == chosen
 
 
 def test_it_is_said_and_opened(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr("mjris.learn.workers.CORES", 2)
     assert describe(office_config()) == "2 cells learn as 2 stacks, one in each worker process"
     assert describe(office_config(workers=1)) == "2 cells learn as one stack in this process"
     assert describe(office_config(), "cuda") == "2 cells learn as one stack in this process"

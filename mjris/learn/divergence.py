@@ -26,7 +26,9 @@ def diverged(config: Config, cell: int, episode: int) -> Diverged:
 
 def non_finite(state: Mapping[str, Tensor]) -> str | None:
     """The first entry that holds NaN or an infinite number, if any."""
-    return next((name for name, tensor in state.items() if not tensor.isfinite().all()), None)
+    # A sum takes less than half of the time, and is not finite where a number is not.
+    suspects = ((name, tensor) for name, tensor in state.items() if not tensor.sum().isfinite())
+    return next((name for name, tensor in suspects if not tensor.isfinite().all()), None)
 
 
 class DivergenceCheck(BaseCallback):
