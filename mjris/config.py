@@ -238,6 +238,15 @@ class Agent:
     warmup_slots: Annotated[int, Field(ge=0)] = 200
     """Slots with random actions before the first update."""
 
+    @model_validator(mode="after")
+    def _only_plain_networks_are_cautious(self) -> "Agent":
+        if self.caution > 0 and self.network == "paper":
+            raise ValueError(
+                f"agent.caution: {self.caution} is not allowed: it must be 0 where agent.network is 'paper', as only "
+                "mlp networks have it"
+            )
+        return self
+
 
 @_plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -252,6 +261,8 @@ class Federation:
     """F_G, episodes between two averages."""
     averaging: bool = True
     """Whether agents are averaged at all; without it they learn alone."""
+    first_weights: Literal["own", "common"] = "own"
+    """own: every cell starts from random weights of its own, as in the paper; common: all from those of cell 0."""
     backend: Literal["auto", "stacked", "processes"] = "auto"
     """stacked: cells learn in lockstep, as many at once as a process has; processes: one by one; auto: the faster."""
     workers: Annotated[int, Field(ge=0)] = 0

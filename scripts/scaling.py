@@ -19,6 +19,7 @@ os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is loaded
 import measures
 
 from mjris.config import Config, preset
+from mjris.cores import CORES
 from mjris.env import OfficeVecEnv
 
 CELLS = (1, 4, 16, 64, 256)
@@ -64,7 +65,7 @@ def cost(what: str, cells: int, repeats: int) -> tuple[float, float]:
     own, largest = (
         resource.getrusage(whose).ru_maxrss / 1024 for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     )
-    workers = min(os.cpu_count() or 1, cells) if what == "training" else 0
+    workers = min(CORES, cells) if what == "training" else 0
     return median(spent), own + workers * largest
 
 

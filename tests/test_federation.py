@@ -1,4 +1,5 @@
 import io
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from stable_baselines3 import DDPG
 from toy import BrokenToyEnv, ToyEnv, toy_config
 
-from mjris.learn.agent import build_agent
+from mjris.learn.agent import DecayingOUNoise, build_agent
 from mjris.learn.federation import Cell, EpisodeRecorder, FederatedAveraging, average, num_rounds
 
 
@@ -20,6 +21,11 @@ def toy_agent(seed: int) -> DDPG:
 
 def toy_cell(index: int = 0, **federation) -> Cell:
     return Cell(toy_config(agent={"network": "paper"}, **federation), index, ToyEnv)
+
+
+def noise_of(agent: DDPG) -> DecayingOUNoise:
+    assert isinstance(agent.action_noise, DecayingOUNoise)
+    return agent.action_noise
 
 
 def assert_equal(left, right) -> None:
@@ -79,6 +85,9 @@ def test_average_refuses_what_does_not_match():
         average([one, {"w": torch.zeros(2)}])
     with pytest.raises(ValueError, match=r"w has shapes \(2,\) and \(3,\)"):
         average([one, {"w": torch.zeros(3), "b": torch.zeros(1)}])
+    for bad in (math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match="b of state dict 1 has numbers that are not finite"):
+            average([one, {"w": torch.zeros(2), "b": torch.tensor([bad])}, one])
 
 
 def test_state_holds_four_networks_and_their_batch_statistics():
@@ -138,6 +147,8 @@ def test_recorder_reports_what_the_environment_gave():
         assert (row.round, row.episode, row.cell) == (3, 7 + index, 1)
         assert row.reward == pytest.approx(rewards[index].mean(), rel=1e-5)
         assert row.sum_rate_mbps == pytest.approx(np.exp(-distances[index]).mean(), rel=1e-5)
+        assert row.bare_rate_mbps == pytest.approx(np.exp(-2 * distances[index]).mean(), rel=1e-5)
+        assert row.gain_percent == pytest.approx(100 * (row.sum_rate_mbps / row.bare_rate_mbps - 1))
         assert row.qos_share == np.mean(distances[index] < 0.5)
         assert row.collisions == np.sum(distances[index] > 1.5)
         assert row.clearance_m == pytest.approx(distances[index].min(), rel=1e-4, abs=1e-6)
@@ -188,6 +199,18 @@ def test_cells_do_not_depend_on_who_else_runs():
     assert_equal(results[0][0], expected[0])
     assert results[0][1] == expected[1]
     assert not torch.equal(results[0][0]["actor.mu.1.weight"], results[1][0]["actor.mu.1.weight"])
+
+
+def test_first_weights_are_each_cells_own_or_those_of_cell_0_and_noise_is_always_its_own():
+    own, common = (
+        [toy_cell(u, num_cells=3, first_weights=choice)._agent for u in range(3)] for choice in ("own", "common")
+    )
+    weights = [[agent.actor.state_dict()["mu.1.weight"] for agent in agents] for agents in (own, common)]
+    assert all(torch.equal(weight, weights[0][0]) for weight in weights[1])
+    assert not torch.equal(weights[0][1], weights[0][0])
+    noise = [[noise_of(agent)().tolist() for agent in agents] for agents in (own, common)]
+    assert noise[0] == noise[1]
+    assert noise[0][0] != noise[0][1] != noise[0][2]
 
 
 def test_cells_start_from_weights_of_their_own_but_share_the_seeds_of_their_environments():

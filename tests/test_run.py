@@ -1,4 +1,7 @@
+import json
+import pickle
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pandas as pd
@@ -29,7 +32,10 @@ def states(run_dir: Path) -> list[dict[str, torch.Tensor]]:
 
 def test_run_folder_has_its_parts(finished):
     out, _ = finished
-    assert sorted(path.name for path in out.iterdir()) == ["checkpoints", "config.json", "metrics.csv", "tensorboard"]
+    parts = ["checkpoints", "config.json", "metrics.csv", "provenance.json", "tensorboard"]
+    assert sorted(path.name for path in out.iterdir()) == parts
+    made_by = json.loads((out / "provenance.json").read_text())
+    assert made_by["backend"] == "2 cells learn one after the other in this process"
     assert load(out / "config.json") == toy_config()
     zips = sorted(str(path.relative_to(out / "checkpoints")) for path in out.glob("checkpoints/*/*"))
     assert zips == [f"round_000{round_}/cell_{u}.zip" for round_ in (1, 2, 3) for u in (0, 1)]
@@ -39,7 +45,8 @@ def test_metrics_have_a_row_an_episode_and_cell(finished):
     out, reports = finished
     table = pd.read_csv(out / "metrics.csv")
     assert list(table.columns) == [
-        *("round", "episode", "cell", "reward", "sum_rate_mbps", "qos_share", "collisions", "clearance_m")
+        *("round", "episode", "cell", "reward", "sum_rate_mbps", "bare_rate_mbps", "qos_share"),
+        *("collisions", "clearance_m"),
     ]
     assert table["round"].tolist() == [1] * 4 + [2] * 4 + [3] * 2
     assert table["episode"].tolist() == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
@@ -68,10 +75,12 @@ def test_tensorboard_has_a_point_an_episode(finished):
     for u in (0, 1):
         events = EventAccumulator(str(out / "tensorboard" / f"cell_{u}"))
         events.Reload()
-        points = events.Scalars("episode/sum_rate_mbps")
-        assert [point.step for point in points] == [10, 20, 30, 40, 50]
-        expected = table.loc[table["cell"] == u, "sum_rate_mbps"]
-        np.testing.assert_allclose([point.value for point in points], expected, rtol=1e-6)
+        own = table[table["cell"] == u]
+        gain = 100 * (own.sum_rate_mbps / own.bare_rate_mbps - 1)
+        for name, expected in (("sum_rate_mbps", own.sum_rate_mbps), ("gain_percent", gain)):
+            points = events.Scalars(f"episode/{name}")
+            assert [point.step for point in points] == [10, 20, 30, 40, 50]
+            np.testing.assert_allclose([point.value for point in points], expected, rtol=1e-6)
 
 
 def test_loaded_policy_acts_and_lasts(finished):
@@ -134,6 +143,19 @@ def test_loading_refuses_a_checkpoint_that_does_not_fit(finished, tmp_path: Path
         load_policy(tmp_path, make_env=ToyEnv)
 
 
+@pytest.mark.parametrize("held", [pickle.dumps(print), pickle.dumps([1]), pickle.dumps({"actor": 1}), b"", b"text"])
+def test_loading_refuses_a_checkpoint_of_anything_but_tensors(finished, tmp_path: Path, held: bytes):
+    out, _ = finished
+    path = tmp_path / "checkpoints" / "round_0001" / "cell_0.zip"
+    path.parent.mkdir(parents=True)
+    with ZipFile(out / "checkpoints" / "round_0003" / "cell_0.zip") as whole, ZipFile(path, "w") as changed:
+        for name in whole.namelist():
+            changed.writestr(name, held if name == "policy.pth" else whole.read(name))
+    (tmp_path / "config.json").write_text(toy_config().to_json())
+    with pytest.raises(ConfigError, match="is damaged or does not fit"):
+        load_policy(tmp_path, make_env=ToyEnv)
+
+
 def row(episode: int, sum_rate_mbps: float, qos_share: float, collisions: int) -> EpisodeMetrics:
     return EpisodeMetrics(
         round=1,
@@ -141,6 +163,7 @@ def row(episode: int, sum_rate_mbps: float, qos_share: float, collisions: int) -
         cell=0,
         reward=0.0,
         sum_rate_mbps=sum_rate_mbps,
+        bare_rate_mbps=1.0,
         qos_share=qos_share,
         collisions=collisions,
         clearance_m=0.1,

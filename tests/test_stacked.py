@@ -1,4 +1,3 @@
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +9,12 @@ import torch
 from stable_baselines3 import DDPG, TD3
 from stable_baselines3.common.utils import get_parameters_by_name
 from torch import nn
-from toy import BrokenToyEnv, ToyEnv, toy_config
+from toy import BrokenToyEnv, EndingToyEnv, ToyEnv, toy_config
 
 from mjris.config import Config, ConfigError, preset
 from mjris.env import OfficeEnv
 from mjris.learn.agent import DecayingOUNoise, build_agent
-from mjris.learn.descent import _recall
+from mjris.learn.descent import _recall, _recall_outcomes
 from mjris.learn.federation import Cell, average
 from mjris.learn.layers import StackedNetwork
 from mjris.learn.policy import load_policy
@@ -46,7 +45,9 @@ def convert(agent: DDPG, dtype: torch.dtype) -> None:
 
 
 def random_batch(rng: np.random.Generator, agents: int, rows: int, dtype: torch.dtype) -> Batch:
-    memory = torch.tensor(rng.uniform(-1, 1, (agents, 3 * rows, 5)), dtype=dtype)
+    """Of a memory in which every fourth transition ends an episode for good."""
+    memory = torch.tensor(rng.uniform(-1, 1, (agents, 3 * rows, 6)), dtype=dtype)
+    memory[..., -1] = torch.arange(3 * rows) % 4 > 0
     places, following = rng.integers(0, 3 * rows, (2, agents, rows))
     return Batch(memory, places, following, width=2)
 
@@ -65,7 +66,7 @@ class Samples:
         self.observations, self.actions, self.rewards, self.next_observations = (
             getattr(batch, name)[index] for name in names
         )
-        self.dones = torch.zeros_like(self.rewards)
+        self.dones = 1 - batch.goes_on[index]
         self.discounts = None
 
 
@@ -175,7 +176,7 @@ def test_every_tensor_of_a_step_is_made_on_the_device_of_the_stack(network: str,
     with torch.device("meta"):
         for slot in range(12):
             observations, actions, following = rng.normal(size=(3, 2, 2)).astype(np.float32)
-            memory.add(observations, actions, rng.normal(size=2), following, slot == 9)
+            memory.add(observations, actions, rng.normal(size=2), np.array([False, slot == 9]), following, slot == 9)
         stack.update(memory.batch(rng.integers(0, 12, (2, 32))))
         losses, acted = stack.losses(), stack.act(following)
     assert np.isfinite(losses).all()
@@ -190,31 +191,34 @@ def test_the_memory_gives_what_was_added_over_ends_of_episodes_and_of_the_ring()
     for slot in range(47):
         actions, following = rng.normal(size=(2, 2, 2)).astype(np.float32)
         rewards, last = rng.normal(size=2).astype(np.float32), slot % 10 == 9
-        memory.add(observations, actions, rewards, following, last)
-        added.append((observations, actions, rewards[:, None], following))
+        terminated = np.array([last, slot == 29])
+        memory.add(observations, actions, rewards, terminated, following, last)
+        added.append((observations, actions, rewards[:, None], ~terminated[:, None], following))
         observations = rng.normal(size=(2, 2)).astype(np.float32) if last else following
         oldest = max(0, slot - 14)
         kept = np.tile(np.arange(oldest, slot + 1), (2, 1))
         batch = memory.batch(kept % 15).picked()
-        parts = batch.observations, batch.actions, batch.rewards, batch.next_observations
+        parts = batch.observations, batch.actions, batch.rewards, batch.goes_on, batch.next_observations
         for part, expected in zip(parts, zip(*added[oldest:], strict=True), strict=True):
             np.testing.assert_array_equal(part.numpy(), np.stack(expected, 1))
 
 
 def test_minibatches_are_the_same_on_any_device():
     rng = np.random.default_rng(0)
-    memory = rng.normal(size=(3, 20, 6)).astype(np.float32)
+    memory = rng.normal(size=(3, 20, 7)).astype(np.float32)
     batch = Batch(torch.from_numpy(memory), *rng.integers(0, 20, (2, 3, 7)), width=3)
     with torch.device("meta"):  # where a tensor would be made that is told no device
         picked = batch.picked()
     for agent in range(3):
-        seen, pairs, rewards = (np.empty(shape, np.float32) for shape in ((7, 3), (7, 5), 7))
-        _recall(memory[agent], batch.following[agent], seen, pairs, rewards)
+        seen, pairs, rewards, goes_on = (np.empty(shape, np.float32) for shape in ((7, 3), (7, 5), 7, 7))
+        _recall(memory[agent], batch.following[agent], seen, pairs)
         np.testing.assert_array_equal(picked.next_pairs[agent].numpy(), pairs)
-        _recall(memory[agent], batch.places[agent], seen, pairs, rewards)
+        _recall(memory[agent], batch.places[agent], seen, pairs)
+        _recall_outcomes(memory[agent], batch.places[agent], rewards, goes_on)
         np.testing.assert_array_equal(picked.observations[agent].numpy(), seen)
         np.testing.assert_array_equal(picked.pairs[agent].numpy(), pairs)
         np.testing.assert_array_equal(picked.rewards[agent, :, 0].numpy(), rewards)
+        np.testing.assert_array_equal(picked.goes_on[agent, :, 0].numpy(), goes_on)
 
 
 def test_what_has_no_stacked_form_is_refused():
@@ -245,15 +249,28 @@ def assert_same_run(stacked: list, plain: list, atol: float, ignore: Sequence[st
                 assert (row.round, row.episode, row.cell) == (other.round, other.episode, other.cell)
                 assert row.qos_share == other.qos_share
                 assert row.collisions == other.collisions
-                for name in ("reward", "sum_rate_mbps", "clearance_m"):
+                for name in ("reward", "sum_rate_mbps", "bare_rate_mbps", "clearance_m"):
                     assert getattr(row, name) == pytest.approx(getattr(other, name), abs=atol)
 
 
+@pytest.mark.parametrize("first_weights", ["own", "common"])
 @pytest.mark.parametrize("agent", [{}, {"warmup_slots": 25}, {"buffer_size": 15}])
-def test_a_short_run_agrees_with_cells_one_by_one(agent: dict):
-    config = toy_config(agent=agent, num_cells=3)
+def test_a_short_run_agrees_with_cells_one_by_one(agent: dict, first_weights: str):
+    config = toy_config(agent=agent, num_cells=3, first_weights=first_weights)
     stacked = rounds(StackedCells(config, ToyEnv, None))
     assert_same_run(stacked, rounds(LocalCells(config, range(3), ToyEnv, None)), 1e-5)
+
+
+@pytest.mark.parametrize("one_by_one", [True, False])
+def test_a_true_end_of_an_episode_counts_in_a_stack_as_it_does_one_by_one(one_by_one: bool, monkeypatch):
+    if not one_by_one:
+        monkeypatch.setattr("mjris.learn.stack.AVAILABLE", False)
+    config = toy_config(num_cells=3, episodes=8)
+    ending = rounds(StackedCells(config, EndingToyEnv, None), 4)
+    assert_same_run(ending, rounds(LocalCells(config, range(3), EndingToyEnv, None), 4), 1e-5)
+    limited = rounds(StackedCells(config, ToyEnv, None), 4)
+    key = "critic.qf0.2.bias"
+    assert not torch.allclose(ending[-1][0][0][key], limited[-1][0][0][key], atol=1e-3)
 
 
 def test_a_short_run_of_the_papers_agents_agrees():
@@ -316,10 +333,11 @@ def test_there_is_a_stack_for_every_core(cells: int, workers: int, cores: int, m
     assert num_stacks([office_config(num_cells=cells, workers=workers)], make_env, device, cores) == stacks
 
 
-def test_an_agent_taken_out_remembers_and_continues_as_its_cell_does():
+@pytest.mark.parametrize("make_env", [ToyEnv, EndingToyEnv])
+def test_an_agent_taken_out_remembers_and_continues_as_its_cell_does(make_env):
     config = toy_config(num_cells=2)
-    runs = StackedRuns([config], ToyEnv, [None])
-    cells = [Cell(config, u, ToyEnv) for u in (0, 1)]
+    runs = StackedRuns([config], make_env, [None])
+    cells = [Cell(config, u, make_env) for u in (0, 1)]
     results = [cell.train(1, None) for cell in cells]
     runs.train(1, [None])
     agent, theirs = runs.agent(0, 1), cells[1]._agent
@@ -331,7 +349,7 @@ def test_an_agent_taken_out_remembers_and_continues_as_its_cell_does():
     for name in ("observations", "actions", "rewards", "next_observations", "dones", "timeouts"):
         np.testing.assert_allclose(getattr(buffer, name), getattr(expected, name), atol=1e-5)
     # Its own second round, noise decay and all: beside the stack, and without touching it.
-    alone = Cell(config, 1, ToyEnv)
+    alone = Cell(config, 1, make_env)
     alone._agent = agent
     merged = average([state for state, _ in results])
     expected_states = [cell.train(2, merged)[0] for cell in cells]
@@ -444,12 +462,12 @@ def test_failures_in_a_stack_reach_the_caller():
 def test_the_faster_backend_is_picked_unless_one_is_asked_for(
     monkeypatch: pytest.MonkeyPatch, asked: str, cells: int, cores: int, make_env, chosen: str
 ):
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr("mjris.learn.workers.CORES", cores)
     assert backend(office_config(num_cells=cells, backend=asked), make_env) == chosen
 
 
 def test_it_is_said_and_opened(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr("mjris.learn.workers.CORES", 2)
     assert describe(office_config()) == "2 cells learn as 2 stacks, one in each worker process"
     assert describe(office_config(workers=1)) == "2 cells learn as one stack in this process"
     assert describe(office_config(), "cuda") == "2 cells learn as one stack in this process"

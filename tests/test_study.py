@@ -1,5 +1,8 @@
+from concurrent.futures import Future
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
+from threading import Timer
 
 import pandas as pd
 import pytest
@@ -7,7 +10,7 @@ from toy import BrokenToyEnv, ToyEnv, toy_config
 
 from mjris.config import Config, preset
 from mjris.learn.policy import load_policy
-from mjris.learn.study import _stacks, run_folder, train_missing
+from mjris.learn.study import _stacks, _wait, run_folder, train_missing
 
 
 def silent(done: int, total: int) -> None:
@@ -44,6 +47,35 @@ def test_a_stack_that_fails_leaves_no_runs(tmp_path: Path):
     assert not list(tmp_path.iterdir())
     (run,) = train_missing([toy_config()], tmp_path, report=silent, make_env=ToyEnv)
     assert len(pd.read_csv(run / "metrics.csv")) == 10
+
+
+class LateFuture(Future):
+    """Is over just when whoever waits for it has given up."""
+
+    def result(self, timeout: float | None = None):
+        if timeout is not None:
+            super().result()
+            raise TimeoutError
+        return super().result()
+
+
+def test_a_stack_that_is_over_when_its_time_is_out_is_no_failure():
+    late: Future[None] = LateFuture()
+    queue = get_context("spawn").SimpleQueue()
+    queue.put(3)
+    heard = []
+    timer = Timer(0.05, late.set_result, [None])
+    timer.start()
+    _wait([late], queue, heard.append)
+    assert heard[-1] == 3
+    timer.join()
+
+
+def test_a_time_out_within_a_stack_is_one():
+    failed: Future[None] = Future()
+    failed.set_exception(TimeoutError("no answer"))
+    with pytest.raises(TimeoutError, match="no answer"):
+        _wait([failed], get_context("spawn").SimpleQueue(), lambda _: None)
 
 
 def with_seed(config: Config, seed: int, **radio: object) -> Config:

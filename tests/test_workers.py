@@ -87,7 +87,7 @@ def test_a_failure_at_the_start_reaches_the_caller(workers: int):
     ("asked", "cores", "opened"), [(0, 8, 2), (0, 2, 2), (2, 1, 2), (5, 1, 2), (0, 1, 1), (1, 8, 1)]
 )
 def test_no_more_workers_than_asked_for_or_cells(monkeypatch, asked: int, cores: int, opened: int):
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr("mjris.learn.workers.CORES", cores)
 
     def several(config, workers: int, *rest) -> int:
         return workers

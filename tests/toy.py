@@ -25,17 +25,26 @@ class ToyEnv(gym.Env):
         self._way = self._rng.uniform(-1.0, 1.0, 2)
         return self._way.astype(np.float32), {}
 
-    def step(self, action: np.ndarray):
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         self._slot += 1
         self._way = np.clip(self._way - 0.5 * action, -2.0, 2.0)
         distance = float(np.linalg.norm(self._way))
         info = {
             "sum_rate_bps": 1e6 * np.exp(-distance),
+            "bare_sum_rate_bps": 1e6 * np.exp(-2 * distance),
             "qos_met": np.array([True, distance < 0.5]),
             "collisions": int(distance > 1.5),
             "clearance_m": distance,
         }
         return self._way.astype(np.float32), 1.0 - distance, False, self._slot == self._slots, info
+
+
+class EndingToyEnv(ToyEnv):
+    """Its episodes end for good and not by a time limit."""
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        observation, reward, _, over, info = super().step(action)
+        return observation, reward, over, False, info
 
 
 class BrokenToyEnv(ToyEnv):

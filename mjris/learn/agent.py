@@ -149,13 +149,15 @@ class DecayingOUNoise(ActionNoise):
         return self._scale * np.maximum(0.0, 1.0 - (self._slot + np.arange(slots)) / self._total_slots)
 
 
-def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:
+def build_agent(config: Config, env: gym.Env, rng: np.random.Generator, first_weights: int | None = None) -> DDPG:
     """An untrained agent for `env`, on the CPU and with an empty logger.
 
-    The initial weights and the exploration noise follow from `rng`, which the agent keeps. SB3 draws the weights,
-    minibatches and warm-up actions from the global random generators and seeds them here.
+    The exploration noise follows from `rng`, which the agent keeps, and so do the first weights, but where they have
+    a seed of their own, `first_weights`. SB3 draws the weights, minibatches and warm-up actions from the global random
+    generators and seeds them here.
     """
     assert isinstance(env.action_space, gym.spaces.Box)
+    own_weights = weights_seed(rng)  # drawn in any case, so that the noise does not depend on whose weights are taken
     agent = config.agent
     model = DDPG(
         PaperPolicy if agent.network == "paper" else CautiousPolicy,
@@ -175,12 +177,17 @@ def build_agent(config: Config, env: gym.Env, rng: np.random.Generator) -> DDPG:
             "optimizer_kwargs": {"fused": True},  # one call instead of a dozen for every small tensor
             **({} if agent.network == "paper" else {"caution": agent.caution}),
         },
-        seed=int(rng.integers(2**32)),
+        seed=own_weights if first_weights is None else first_weights,
         device="cpu",
     )
     # Without a logger of its own, SB3 makes a temporary folder at every call of `learn`.
     model.set_logger(Logger(folder=None, output_formats=[]))
     return model
+
+
+def weights_seed(rng: np.random.Generator) -> int:
+    """The seed of an agent's first weights: the first that is drawn from its generator."""
+    return int(rng.integers(2**32))
 
 
 def hidden_layers(agent: Agent, radio: Radio) -> dict[str, Any]:

@@ -53,6 +53,8 @@ class Room(NamedTuple):
     """Observations and actions [B, D + n]."""
     rewards: Values
     """[B]"""
+    goes_on: Values
+    """0 where the episode ended for good, and 1 elsewhere [B]."""
     next_seen: Values
     """Next observations [B, D]."""
     next_pairs: Values
@@ -67,8 +69,9 @@ class Room(NamedTuple):
         """For what goes into an actor, and comes out."""
         rows, actions = actor.made.outputs[-1].shape
         width = actor.own.layout.inputs[0]
-        shapes = (rows, width), (rows, width + actions), (rows,)
-        return cls(*(np.empty(shape, np.float32) for shape in (*shapes, *shapes, (rows, actions))))
+        seen, pairs = (rows, width), (rows, width + actions)
+        shapes = seen, pairs, rows, rows, seen, pairs, rows, (rows, actions)
+        return cls(*(np.empty(shape, np.float32) for shape in shapes))
 
 
 def has_compiled_form(agent: DDPG) -> bool:
@@ -105,17 +108,17 @@ def descend(
 ) -> None:
     """One step of A agents; writes what the actors and the critics lost to `losses` [2, A].
 
-    For minibatches at `places` [A, B] of a `memory` of observations, actions and rewards [A, L, D + n + 1], and next
-    observations at `following` ones. `steps` are the numbers of the actors' step and of the critics'.
+    For minibatches at `places` [A, B] of a `memory` [A, L, D + n + 2], see `Batch.rows`, and next observations at
+    `following` ones. `steps` are the numbers of the actors' step and of the critics'.
     """
     rows, said, last = len(room.seen), critic.made.outputs[-1][:, 0], len(critic.made.outputs) - 1
     for agent in range(len(memory)):
-        _recall(memory[agent], places[agent], room.seen, room.pairs, room.rewards)
-        # The following rows' own rewards are nothing here: errors are written over them.
-        _recall(memory[agent], following[agent], room.next_seen, room.next_pairs, room.errors)
+        _recall(memory[agent], places[agent], room.seen, room.pairs)
+        _recall_outcomes(memory[agent], places[agent], room.rewards, room.goes_on)
+        _recall(memory[agent], following[agent], room.next_seen, room.next_pairs)
         _act(actor.target, agent, room.next_seen, room.next_pairs, actor.made, False)
         forward(critic.target, agent, room.next_pairs, critic.made, False)
-        room.errors[:] = room.rewards + np.float32(rule.discount) * said
+        room.errors[:] = room.rewards + np.float32(rule.discount) * room.goes_on * said
         forward(critic.own, agent, room.pairs, critic.made, True)
         room.errors[:] = said - room.errors
         losses[1, agent] = np.square(room.errors).mean()
@@ -136,15 +139,22 @@ def descend(
 
 
 @compiled
-def _recall(memory: Values, places: IntArray, seen: Values, pairs: Values, rewards: Values) -> None:
-    """Write observations [B, D], these with actions [B, D + n], and rewards [B] from places [B] of a memory."""
+def _recall(memory: Values, places: IntArray, seen: Values, pairs: Values) -> None:
+    """Write observations [B, D], and these with actions [B, D + n], from places [B] of a memory."""
     for row in range(len(places)):
         remembered, own, pair = memory[places[row]], seen[row], pairs[row]
         for i in range(len(own)):
             own[i] = remembered[i]
         for i in range(len(pair)):
             pair[i] = remembered[i]
-        rewards[row] = remembered[len(pair)]
+
+
+@compiled
+def _recall_outcomes(memory: Values, places: IntArray, rewards: Values, goes_on: Values) -> None:
+    """Write rewards [B], and whether the episode goes on [B], from places [B] of a memory."""
+    for row in range(len(places)):
+        remembered = memory[places[row]]
+        rewards[row], goes_on[row] = remembered[-2], remembered[-1]
 
 
 @compiled

@@ -1,5 +1,6 @@
 """Federated averaging: the mean of agents, the callback that exchanges them, and a cell's rounds of training."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +9,13 @@ from typing import Any, Generic, TypeVar
 import gymnasium as gym
 import numpy as np
 import torch
+from stable_baselines3 import DDPG
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, configure
 
 from mjris.config import Config
-from mjris.learn.agent import build_agent
+from mjris.learn.agent import build_agent, weights_seed
+from mjris.learn.divergence import DivergenceCheck, non_finite
 from mjris.streams import Purpose, generator, word
 
 P = TypeVar("P")
@@ -29,7 +32,8 @@ def average(state_dicts: Sequence[State]) -> dict[str, torch.Tensor]:
     """The mean of state dicts with equal weights, ω_G = 1/U Σ ω_u (paper, section IV-B).
 
     Summed in float64 in the order given and cast back to each entry's type; integer entries (batch counters) become
-    the rounded mean. Raises `ValueError` for an empty list and, naming the entry, where keys or shapes differ.
+    the rounded mean. Raises `ValueError` for an empty list and, naming the entry, where keys or shapes differ, or a
+    number is not finite.
     """
     if not state_dicts:
         raise ValueError("average: needs at least one state dict")
@@ -40,6 +44,9 @@ def average(state_dicts: Sequence[State]) -> dict[str, torch.Tensor]:
         for key, tensor in first.items():
             if tensor.shape != other[key].shape:
                 raise ValueError(f"average: {key} has shapes {tuple(tensor.shape)} and {tuple(other[key].shape)}")
+    for number, state in enumerate(state_dicts):
+        if (key := non_finite(state)) is not None:
+            raise ValueError(f"average: {key} of state dict {number} has numbers that are not finite")
     return {key: _mean([state[key] for state in state_dicts]) for key in first}
 
 
@@ -89,12 +96,19 @@ class EpisodeMetrics:
     """Mean reward of a slot [Mb/s]."""
     sum_rate_mbps: float
     """Mean sum rate of a slot [Mb/s]."""
+    bare_rate_mbps: float
+    """What the same slots give without RIS, under closed-form powers [Mb/s]."""
     qos_share: float
     """Share of slots in which every user meets QoS."""
     collisions: int
     """Penetrating contacts, all slots together."""
     clearance_m: float
     """Smallest clearance of the rover [m]."""
+
+    @property
+    def gain_percent(self) -> float:
+        """By how much the sum rate exceeds that without RIS in the same slots [%]; NaN where that is zero."""
+        return 100 * (self.sum_rate_mbps / self.bare_rate_mbps - 1) if self.bare_rate_mbps else math.nan
 
 
 class EpisodeRecorder(BaseCallback):
@@ -135,6 +149,7 @@ def episode_metrics(
         cell=cell,
         reward=float(np.mean(rewards)),
         sum_rate_mbps=float(np.mean([info["sum_rate_bps"] for info in infos])) / 1e6,
+        bare_rate_mbps=float(np.mean([info["bare_sum_rate_bps"] for info in infos])) / 1e6,
         qos_share=float(np.mean([np.all(info["qos_met"]) for info in infos])),
         collisions=int(sum(info["collisions"] for info in infos)),
         clearance_m=float(min(info["clearance_m"] for info in infos)),
@@ -143,7 +158,7 @@ def episode_metrics(
 
 def record_episode(logger: Logger, metrics: EpisodeMetrics) -> None:
     """Hand the metrics of an episode to a logger."""
-    for name in ("reward", "sum_rate_mbps", "qos_share", "collisions", "clearance_m"):
+    for name in ("reward", "sum_rate_mbps", "bare_rate_mbps", "gain_percent", "qos_share", "collisions", "clearance_m"):
         logger.record(f"episode/{name}", getattr(metrics, name))
 
 
@@ -183,7 +198,7 @@ class Cell:
     def __init__(self, config: Config, index: int, make_env: EnvFactory, log_dir: Path | None = None):
         self._config = config
         self._index = index
-        self._agent = build_agent(config, make_env(config, index), agent_generator(config, index))
+        self._agent = untrained_agent(config, index, make_env(config, index))
         if log_dir is not None:
             self._agent.set_logger(configure(str(log_dir), ["tensorboard"]))
         self._rounds = InOrder(self._train, f"cell {index}")
@@ -192,7 +207,8 @@ class Cell:
         """Train round `round_` (from 1) starting from `params`, or from where the agent is if None.
 
         Returns the local parameters and the metrics of the round's episodes. The round just finished may be asked
-        for again and is not trained again. Raises `ValueError` for any other round that is not the next.
+        for again and is not trained again. Raises `ValueError` for any other round that is not the next, and `Diverged`
+        where losses or parameters are not finite any more.
         """
         return self._rounds(round_, params)
 
@@ -203,7 +219,7 @@ class Cell:
         recorder = EpisodeRecorder(round_, episodes.start, self._index)
         self._agent.learn(
             len(episodes) * self._config.task.slots,
-            callback=[exchange, recorder],
+            callback=[exchange, recorder, DivergenceCheck(self._config, self._index, episodes.start)],
             log_interval=1,
             reset_num_timesteps=False,
         )
@@ -243,8 +259,14 @@ def episodes_of(config: Config, round_: int) -> range:
     return range(first, min(first + federation.round_episodes, federation.episodes + 1))
 
 
-def agent_generator(config: Config, cell: int) -> np.random.Generator:
-    """What a cell's agent draws its first weights and its exploration noise from."""
+def untrained_agent(config: Config, cell: int, env: gym.Env) -> DDPG:
+    """A cell's agent at the start: noise of its own, and first weights as `federation.first_weights` has them."""
+    common = config.federation.first_weights == "common"
+    first_weights = weights_seed(_agent_generator(config, 0)) if common else None
+    return build_agent(config, env, _agent_generator(config, cell), first_weights)
+
+
+def _agent_generator(config: Config, cell: int) -> np.random.Generator:
     return generator(config.named_seed, Purpose.AGENT, cell)
 
 

@@ -1,6 +1,8 @@
 """Trained agents from their files: checkpoints of run folders, and exported policies."""
 
+import shutil
 from pathlib import Path
+from pickle import UnpicklingError
 from zipfile import BadZipFile
 
 import numpy as np
@@ -13,8 +15,12 @@ from mjris.config import Config, ConfigError, load
 from mjris.env import OfficeEnv
 from mjris.learn.agent import build_agent
 from mjris.learn.federation import EnvFactory
+from mjris.learn.provenance import PROVENANCE
 
 ACTOR = "actor.safetensors"
+
+_DAMAGED = (ValueError, RuntimeError, BadZipFile, UnpicklingError, EOFError, LookupError, TypeError, AttributeError)
+"""What reading a checkpoint raises that is cut, is something else, or holds other things than tensors by name."""
 
 
 def load_policy(run_dir: Path, cell: int = 0, *, round_: int | None = None, make_env: EnvFactory = OfficeEnv) -> DDPG:
@@ -40,17 +46,19 @@ def load_policy(run_dir: Path, cell: int = 0, *, round_: int | None = None, make
     agent = build_agent(config, make_env(config, cell), np.random.default_rng())
     try:
         agent.set_parameters(str(last), device="cpu")
-    except (ValueError, RuntimeError, BadZipFile):
+    except _DAMAGED:
         raise ConfigError(f"{last}: is damaged or does not fit {run_dir / 'config.json'}") from None
     return agent
 
 
 def export_policy(run_dir: Path, out: Path, cell: int = 0, *, make_env: EnvFactory = OfficeEnv) -> list[Path]:
-    """Write what acting needs of a cell's last agent to `out`: config.json and actor.safetensors; returns their paths.
+    """Write what acting needs of a cell's last agent to `out`, config.json and actor.safetensors; returns the paths.
 
-    Raises what `load_policy` raises, and `ConfigError` where one of the files exists.
+    The run's provenance.json goes with them where it has one. Raises what `load_policy` raises, and `ConfigError` where
+    one of the files exists.
     """
-    paths = [out / "config.json", out / ACTOR]
+    origin = run_dir / PROVENANCE
+    paths = [out / "config.json", out / ACTOR, *([out / PROVENANCE] if origin.exists() else [])]
     for path in paths:
         if path.exists():
             raise ConfigError(f"out: {out} is not allowed: {path.name} exists there already")
@@ -58,6 +66,8 @@ def export_policy(run_dir: Path, out: Path, cell: int = 0, *, make_env: EnvFacto
     out.mkdir(parents=True, exist_ok=True)
     save_file(agent.actor.state_dict(), paths[1])
     paths[0].write_text(load(run_dir / "config.json").to_json())
+    if origin.exists():
+        shutil.copyfile(origin, paths[2])
     return paths
 
 

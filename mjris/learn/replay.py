@@ -15,13 +15,10 @@ IntArray = NDArray[np.int64]
 
 
 class Batch(NamedTuple):
-    """Minibatches of A agents, B transitions each, where the memory has them.
-
-    No episode of mjris ends but by truncation.
-    """
+    """Minibatches of A agents, B transitions each, where the memory has them."""
 
     rows: Tensor
-    """Observations, actions and reward [A, L, D + n + 1]."""
+    """Observations, actions, reward, and 1 or 0 for whether the episode goes on [A, L, D + n + 2]."""
     places: IntArray
     """The rows of the transitions [A, B]."""
     following: IntArray
@@ -34,7 +31,7 @@ class Batch(NamedTuple):
         device = self.rows.device
         agents = torch.arange(len(self.rows), device=device)[:, None]
         own, after = (self.rows[agents, torch.from_numpy(each).to(device)] for each in (self.places, self.following))
-        return Picked(own[..., :-1], own[..., -1:], after[..., :-1], self.width)
+        return Picked(own[..., :-2], own[..., -2:-1], own[..., -1:], after[..., :-2], self.width)
 
 
 class Picked(NamedTuple):
@@ -44,6 +41,8 @@ class Picked(NamedTuple):
     """Observations and actions [A, B, D + n]."""
     rewards: Tensor
     """[A, B, 1]"""
+    goes_on: Tensor
+    """0 where the episode ended for good, and 1 elsewhere, at time limits too [A, B, 1]."""
     next_pairs: Tensor
     """Next observations, and room for actions [A, B, D + n]."""
     width: int
@@ -71,7 +70,7 @@ class Picked(NamedTuple):
 
 
 class ReplayMemory:
-    """The last transitions of every agent, one ring of float32 rows: observation, action and reward.
+    """The last transitions of every agent, one ring of float32 rows: observation, action, reward, and what ended.
 
     The next observation is that of the following row, so that an episode takes one row more than it has slots. The
     ring is for as many transitions as the agents' own buffers, or the run where that is shorter.
@@ -85,7 +84,7 @@ class ReplayMemory:
         self.capacity = min(first.buffer_size, run_slots)
         self._length = self.capacity + self.capacity // episode_slots + 2
         # Zeros of this kind take no memory until they are written over.
-        rows = np.zeros((len(agents), self._length, self._width + actions + 1), np.float32)
+        rows = np.zeros((len(agents), self._length, self._width + actions + 2), np.float32)
         self._rows = torch.from_numpy(rows).to(device)
         self._places = np.zeros(self.capacity, np.int64)
         """Row of each transition; transitions are numbered as in SB3's buffer."""
@@ -93,11 +92,20 @@ class ReplayMemory:
         self._added = self._row = 0
 
     def add(
-        self, observations: FloatArray, actions: FloatArray, rewards: FloatArray, following: FloatArray, last: bool
+        self,
+        observations: FloatArray,
+        actions: FloatArray,
+        rewards: FloatArray,
+        terminated: NDArray[np.bool_],
+        following: FloatArray,
+        last: bool,
     ) -> None:
-        """Remember one slot of every agent: [A, D], [A, n], [A], [A, D]; `last` is the end of an episode."""
+        """Remember one slot of every agent: [A, D], [A, n], [A], [A], [A, D].
+
+        `last` is the end of an episode, by a time limit but where it is `terminated`.
+        """
         number, after = self._added % self.capacity, (self._row + 1) % self._length
-        self._write(self._row, np.concatenate([observations, actions, rewards[:, None]], 1))
+        self._write(self._row, np.column_stack([observations, actions, rewards, (~terminated).astype(np.float32)]))
         self._write(after, following)
         self._places[number], self._ends[number] = self._row, last
         self._row = (after + last) % self._length
@@ -112,17 +120,18 @@ class ReplayMemory:
         """Write what an agent remembers to an empty SB3 buffer."""
         filled = min(self._added, self.capacity)
         own, places = self._rows[index].cpu().numpy(), self._places[:filled]
-        observations, actions, rewards = np.split(own[places], [self._width, own.shape[1] - 1], 1)
+        sizes = [self._width, own.shape[1] - 2, own.shape[1] - 1]
+        observations, actions, rewards, goes_on = np.split(own[places], sizes, 1)
         following = own[(places + 1) % self._length, : self._width]
         names = ("observations", "actions", "rewards", "next_observations")
         for name, values in zip(names, (observations, actions, rewards, following), strict=True):
             getattr(buffer, name)[:filled] = values.reshape(getattr(buffer, name)[:filled].shape)
-        # Episodes end by truncation only.
-        buffer.dones[:filled, 0] = buffer.timeouts[:filled, 0] = self._ends[:filled]
+        buffer.dones[:filled, 0] = self._ends[:filled]
+        buffer.timeouts[:filled, 0] = self._ends[:filled] * goes_on[:, 0]
         buffer.pos, buffer.full = self._added % buffer.buffer_size, self._added >= buffer.buffer_size
 
     def _write(self, row: int, values: FloatArray) -> None:
-        """Write the first numbers of a row of every agent [A, ≤ D + n + 1]."""
+        """Write the first numbers of a row of every agent [A, ≤ D + n + 2]."""
         if self._rows.device.type == "cpu":
             self._rows.numpy()[:, row, : values.shape[1]] = values  # a third of the time that torch takes
         else:

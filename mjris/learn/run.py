@@ -8,11 +8,13 @@ from functools import partial
 from pathlib import Path
 
 from mjris.config import Config, ConfigError
+from mjris.cores import CORES
 from mjris.env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
-from mjris.learn.spread import CORES, open_runs
-from mjris.learn.stacked import Results
-from mjris.learn.workers import check_device, open_cells
+from mjris.learn.provenance import write_provenance
+from mjris.learn.spread import in_words, num_stacks, open_runs
+from mjris.learn.stacked import Results, members_of
+from mjris.learn.workers import check_device, describe, open_cells
 from mjris.streams import seeded
 
 Report = Callable[[list[EpisodeMetrics]], None]
@@ -28,17 +30,18 @@ def train(
 ) -> None:
     """Train all cells of `config` and write the run folder `out`.
 
-    The folder gets config.json first and, after every round, the episodes' rows in metrics.csv and
+    The folder gets config.json and provenance.json first and, after every round, the episodes' rows in metrics.csv and
     checkpoints/round_NNNN/cell_U.zip, which hold the averaged agents where there is averaging; tensorboard/cell_U
     follows while training. A config without a seed gets a fresh one. Stacked agents learn on `device`, "cpu" or "cuda".
-    Raises `ConfigError` where `out` exists and is not an empty folder, or `device` cannot be used.
+    Raises `ConfigError` where `out` exists and is not an empty folder, or `device` cannot be used, and `Diverged` where
+    an agent's losses or parameters are not finite any more: then the round is lost, and those before it are kept.
     """
     _check_new(out)
     config = seeded(config)
     # What is wrong with the layout or the task shows here, before anything is written.
     make_env(config, 0).close()
     check_device(config, make_env, device)
-    _begin_folder(config, out)
+    _begin_folder(config, out, describe(config, device, make_env))
     with closing(open_cells(config, make_env, out / "tensorboard", device)) as cells:
         merged = None
         for round_ in range(1, num_rounds(config) + 1):
@@ -67,8 +70,9 @@ def train_many(
         _check_new(out)
     log_dirs = [out / "tensorboard" for out in outs]
     with closing(open_runs(configs, make_env, log_dirs, cores=cores)) as runs:
+        backend = in_words(len(members_of(configs)), num_stacks(configs, make_env, cores=cores))
         for config, out in zip(configs, outs, strict=True):
-            _begin_folder(config, out)
+            _begin_folder(config, out, backend)
         merged: list[State | None] = [None] * len(configs)
         for round_ in range(1, num_rounds(configs[0]) + 1):
             everything = runs.train(round_, merged)
@@ -79,8 +83,9 @@ def train_many(
             report(metrics)
 
 
-def _begin_folder(config: Config, out: Path) -> None:
+def _begin_folder(config: Config, out: Path, backend: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
+    write_provenance(out, backend)
     (out / "config.json").write_text(config.to_json())
     _write_header(out / "metrics.csv")
 

@@ -1,18 +1,16 @@
 """The agents of one or several runs as stacks, one in every process."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from mjris.config import Config
+from mjris.cores import CORES
 from mjris.env import OfficeEnv
 from mjris.learn.federation import EnvFactory, State
 from mjris.learn.remote import Remotes
 from mjris.learn.stacked import Results, StackedRuns, members_of
-
-CORES = os.cpu_count() or 1
 
 
 def open_runs(
@@ -39,6 +37,13 @@ def num_stacks(
     if make_env is not OfficeEnv or device != "cpu":
         return 1
     return min(configs[0].federation.workers or cores, cores, len(members_of(configs)))
+
+
+def in_words(cells: int, stacks: int) -> str:
+    """How cells learn in so many stacks, in a few words."""
+    if stacks > 1:
+        return f"{cells} cells learn as {stacks} stacks, one in each worker process"
+    return f"{cells} cells learn as one stack in this process"
 
 
 class SpreadRuns:

@@ -51,7 +51,7 @@ class StackedDDPG:
         if self._one_by_one:
             self._descent = self._compiled(first)
             self._acting = self._descent[0].own, Pass.of(self._descent[0].own, 1)
-        self._losses: FloatArray = np.empty((2, len(agents)))
+        self._losses: FloatArray = np.full((2, len(agents)), np.nan)
 
     def act(self, observations: FloatArray) -> FloatArray:
         """Actions [A, n] without noise for observations [A, D]."""
@@ -79,6 +79,12 @@ class StackedDDPG:
         """What the actors and the critics lost in the last update [2, A], as SB3 logs it."""
         return self._losses.copy() if self._one_by_one else self._judgement.losses()
 
+    def finite(self) -> NDArray[np.bool_]:
+        """Whether all parameters and statistics of an agent are finite numbers [A]."""
+        return np.logical_and.reduce(
+            [tensor.isfinite().reshape(len(tensor), -1).all(1).cpu().numpy() for tensor in self._state().values()]
+        )
+
     @torch.inference_mode()
     def _act_together(self, observations: FloatArray) -> FloatArray:
         return self._actor.forward(torch.from_numpy(observations).to(self._device)[:, None])[:, 0].cpu().numpy()
@@ -88,7 +94,7 @@ class StackedDDPG:
         batch.next_actions.copy_(self._actor_target.forward(batch.next_observations))
         next_values = self._critic_target.forward(batch.next_pairs)
         errors = self._critic.forward(batch.pairs, training=True)
-        errors -= batch.rewards + self._discount * next_values
+        errors -= batch.rewards + self._discount * batch.goes_on * next_values
         self._critic.learn(errors * (2 / errors.shape[1]))
         self._optimizers["critic"].step()
 

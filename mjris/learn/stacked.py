@@ -17,18 +17,19 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from mjris.config import Config, ConfigError
 from mjris.env import OfficeEnv, OfficeVecEnv
-from mjris.learn.agent import DecayingOUNoise, build_agent
+from mjris.learn.agent import DecayingOUNoise
+from mjris.learn.divergence import diverged
 from mjris.learn.federation import (
     EnvFactory,
     EpisodeMetrics,
     InOrder,
     State,
-    agent_generator,
     environment_seed,
     episode_metrics,
     episodes_of,
     learning_seed,
     record_episode,
+    untrained_agent,
 )
 from mjris.learn.replay import ReplayMemory
 from mjris.learn.stack import StackedDDPG
@@ -49,7 +50,7 @@ class StackedRuns:
     The configs may differ in the learning rate, and in whatever leaves the agents, the number of cells and the slots
     alike: in their seeds, for one. Every agent draws from the same generators as a `Cell` does, so that its numbers
     are those of a `Cell` but for rounding. With log directories, cell u of run g logs to cell_u in that of the run.
-    Raises `ConfigError` where configs have no common stack.
+    Raises `ConfigError` where configs have no common stack, and `Diverged` in training.
     """
 
     def __init__(
@@ -73,9 +74,7 @@ class StackedRuns:
         ends = np.cumsum([len(group) for group in groups]).tolist()
         self._slices = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
         """Members in each environment."""
-        self._agents = [
-            build_agent(configs[g], _Outline(self._envs[0]), agent_generator(configs[g], u)) for g, u in self._members
-        ]
+        self._agents = [untrained_agent(configs[g], u, _Outline(self._envs[0])) for g, u in self._members]
         for (g, u), agent in zip(self._members, self._agents, strict=True):
             if (log_dir := log_dirs[g]) is not None:
                 agent.set_logger(configure(str(log_dir / f"cell_{u}"), ["tensorboard"]))
@@ -102,7 +101,7 @@ class StackedRuns:
     def agent(self, run: int, cell: int) -> DDPG:
         """A cell's agent by itself as it is now, with its replay memory and an environment of its own."""
         config, index = self._configs[run], self._members.index((run, cell))
-        agent = build_agent(config, self._make_env(config, cell), agent_generator(config, cell))
+        agent = untrained_agent(config, cell, self._make_env(config, cell))
         self._store(index, agent)
         agent.action_noise = copy.deepcopy(self._agents[index].action_noise)
         assert agent.replay_buffer is not None
@@ -148,6 +147,7 @@ class StackedRuns:
         for slot in range(slots):
             warm_up = slot < len(draws.actions)
             actions = draws.actions[slot] if warm_up else self._learner.act(self._observations)
+            self._check_finite(np.all(np.isfinite(actions), axis=1), episode)
             reward, info = self._step(np.clip(actions + draws.noise[slot], -1, 1), last=slot + 1 == slots)
             rewards.append(reward)
             infos.append(info)
@@ -157,6 +157,8 @@ class StackedRuns:
                 self._learner.update(self._memory.batch(draws.rows[update]))
         self._updates += len(draws.rows)
         metrics, losses = [], self._learner.losses() if len(draws.rows) > 0 else None
+        if losses is not None:
+            self._check_finite(np.all(np.isfinite(losses), axis=0) & self._learner.finite(), episode)
         for index, (agent, (_, u)) in enumerate(zip(self._agents, self._members, strict=True)):
             own = [float(reward[index]) for reward in rewards]
             metrics.append(episode_metrics(round_, episode, u, own, [info[index] for info in infos]))
@@ -166,6 +168,12 @@ class StackedRuns:
                 agent.logger.record("train/critic_loss", losses[1][index].item())
             agent.logger.dump(self._slots)
         return metrics
+
+    def _check_finite(self, finite: NDArray[np.bool_], episode: int) -> None:
+        """Raise `Diverged` for the first agent whose numbers are not finite [A]."""
+        if not finite.all():
+            g, u = self._members[finite.argmin()]
+            raise diverged(self._configs[g], u, episode)
 
     def _draw(self, generators: Sequence[np.random.RandomState]) -> "_Draws":
         """What an episode needs of chance, of each agent from its own generators and in the order of SB3."""
@@ -186,7 +194,8 @@ class StackedRuns:
         if np.any(done != last):
             raise ValueError(f"cells: every episode of a stack must have {self._config.task.slots} slots")
         following = np.stack([info["terminal_observation"] for info in infos]) if last else observations
-        self._memory.add(self._observations, actions, reward, following, last)
+        terminated = np.array([last and not info.get("TimeLimit.truncated", False) for info in infos])
+        self._memory.add(self._observations, actions, reward, terminated, following, last)
         self._observations = observations
         self._slots += 1
         return reward, infos

@@ -3,7 +3,7 @@
 import gc
 import hashlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.queues import SimpleQueue
@@ -12,10 +12,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from mjris.config import Config
+from mjris.cores import CORES
 from mjris.env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics
 from mjris.learn.run import train_many
-from mjris.learn.spread import CORES
 
 Report = Callable[[int, int], None]
 """Is called now and then with how many episodes of all missing runs are over, and how many there are."""
@@ -61,19 +61,14 @@ def train_missing(
 
 def _wait(stacks: Sequence[Future[None]], queue: "SimpleQueue[int]", report: Callable[[int], None]) -> None:
     """Until all stacks are over; raises what one of them raises."""
-    done = 0
-    for stack in stacks:
-        over = False
-        while not over:
-            try:
-                stack.result(_GLANCE_S)
-                over = True
-            except TimeoutError:
-                if stack.done():  # it was raised in the stack
-                    raise
-            while not queue.empty():
-                done += queue.get()
-            report(done)
+    done, running = 0, set(stacks)
+    while running:
+        over, running = wait(running, _GLANCE_S)
+        while not queue.empty():
+            done += queue.get()
+        report(done)
+        for stack in over:
+            stack.result()
 
 
 def _stacks(configs: Sequence[Config], cores: int) -> list[list[Config]]:

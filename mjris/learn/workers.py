@@ -3,17 +3,17 @@
 The last two give the same numbers, the stack gives them but for rounding.
 """
 
-import os
 from pathlib import Path
 from typing import Literal, Protocol
 
 import torch
 
 from mjris.config import Config, ConfigError
+from mjris.cores import CORES
 from mjris.env import OfficeEnv
 from mjris.learn.federation import Cell, EnvFactory, State
 from mjris.learn.remote import Remotes
-from mjris.learn.spread import StackedCells, num_stacks
+from mjris.learn.spread import StackedCells, in_words, num_stacks
 from mjris.learn.stacked import Results
 
 
@@ -43,13 +43,11 @@ def backend(config: Config, make_env: EnvFactory = OfficeEnv) -> Literal["stacke
     return "stacked" if make_env is OfficeEnv else "processes"
 
 
-def describe(config: Config, device: str = "cpu") -> str:
-    """How the cells of a run of offices learn, in a few words."""
+def describe(config: Config, device: str = "cpu", make_env: EnvFactory = OfficeEnv) -> str:
+    """How the cells of a run learn, in a few words."""
     cells, workers = config.federation.num_cells, num_workers(config)
-    if backend(config) == "stacked":
-        if (stacks := num_stacks([config], device=device)) > 1:
-            return f"{cells} cells learn as {stacks} stacks, one in each worker process"
-        return f"{cells} cells learn as one stack in this process"
+    if backend(config, make_env) == "stacked":
+        return in_words(cells, num_stacks([config], make_env, device))
     if workers == 1:
         return f"{cells} cells learn one after the other in this process"
     return f"{cells} cells learn in {workers} worker processes"
@@ -65,7 +63,7 @@ def check_device(config: Config, make_env: EnvFactory, device: str) -> None:
 
 def num_workers(config: Config) -> int:
     """Worker processes of the processes backend."""
-    return min(config.federation.workers or os.cpu_count() or 1, config.federation.num_cells)
+    return min(config.federation.workers or CORES, config.federation.num_cells)
 
 
 def open_cells(config: Config, make_env: EnvFactory, log_dir: Path | None = None, device: str = "cpu") -> Cells:
