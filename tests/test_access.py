@@ -104,7 +104,7 @@ def test_beams_of_nearly_equal_channels_are_those_of_a_small_regularisation(seed
         for beam, limit in zip(beams.T, slow_beams(channel / np.linalg.norm(channel, axis=1)[:, None]), strict=True):
             assert abs(beam.conj() @ limit) == pytest.approx(1, abs=1e-5)
     torch_beams = zero_forcing(torch.asarray(channel)).numpy()
-    np.testing.assert_allclose(abs(channel @ torch_beams), abs(channel @ beams), rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(abs(channel @ torch_beams), abs(channel @ beams), rtol=2e-2, atol=1e-5)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))

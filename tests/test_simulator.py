@@ -7,6 +7,7 @@ import pytest
 
 from mjris.config import Config, Radio, Task, World
 from mjris.radio import access, serving
+from mjris.radiomap import penalised
 from mjris.scene import Slot
 from mjris.simulator import Simulator
 from mjris.streams import first_cells
@@ -122,7 +123,7 @@ def direct_fading(simulator: Simulator, slots: int) -> np.ndarray:
 
 @pytest.mark.parametrize("memory", [0.0, 0.6])
 def test_fading_memory_is_the_correlation_of_blocked_links_over_the_slots(memory):
-    simulator = standing(4, 7.0, memory)
+    simulator = standing(8, 7.0, memory)
     fading = direct_fading(simulator, 400)[:, simulator.scene.blockers[:, :4] > 0]
     assert fading.shape[1] >= 4
     for lag in (1, 3):
@@ -132,7 +133,7 @@ def test_fading_memory_is_the_correlation_of_blocked_links_over_the_slots(memory
 
 @pytest.mark.parametrize("k_db", [0.0, 7.0])
 def test_links_in_sight_have_the_k_factor(k_db):
-    simulator = standing(4, k_db, 0.0)
+    simulator = standing(8, k_db, 0.0)
     fading = direct_fading(simulator, 400)[:, simulator.scene.blockers[:, :4] == 0]
     assert fading.shape[1] >= 4
     constant, scattered = np.mean(abs(fading.mean(0)) ** 2), np.mean(fading.var(0))
@@ -340,9 +341,8 @@ def static(**fields) -> Config:
 
 def test_the_closed_forms_know_the_static_order():
     """In its first slot an episode's order is that of the gains; later, what is allocated is what that order gives."""
-    simulator = Simulator(static(task=Task(qos_bps=2e3)), cells=24)
-    moves = np.zeros((24, 2))
-    served = 0
+    simulator = Simulator(static(task=Task(qos_bps=2e3)), cells=48)
+    moves, better = np.zeros((48, 2)), []
     for slot in range(6):
         order = simulator.order.copy()
         assert (order < 0).all() == (slot == 0)
@@ -353,12 +353,12 @@ def test_the_closed_forms_know_the_static_order():
         np.testing.assert_allclose(result.rates_bps, promised, rtol=1e-9)
         if slot:
             np.testing.assert_array_equal(simulator.order, order)
-            # Who does not know the order promises what it cannot keep, somewhere.
+            # Who does not know the order gets less out of it wherever that is not the order of the gains.
             unaware, _ = simulator.reference_powers(effective)
             kept = simulator.rates(effective, unaware, order)
-            assert (kept.min(-1) >= 2e3).sum() <= (promised.min(-1) >= 2e3).sum()
-            served += (promised.min(-1) >= 2e3).sum() - (kept.min(-1) >= 2e3).sum()
-    assert served > 0
+            better.append(penalised(promised, 2e3, 2.0) - penalised(kept, 2e3, 2.0))
+    assert np.min(better) >= -1e-3
+    assert np.max(better) > 1e3
 
 
 def test_a_static_order_does_not_matter_where_one_user_of_a_cluster_has_all():
@@ -379,13 +379,14 @@ def held(updates: int, **world) -> Config:
 
 def test_phases_that_are_held_see_what_a_plain_loop_over_the_ticks_sees():
     """Tick by tick, by a simulator whose slots are that short and whose people go on in one direction."""
-    simulator = Simulator(held(2, ticks_per_slot=4, walk_scale_m=0.0), cells=3)
-    fast = Simulator(held(0, ticks_per_slot=1, slot_s=0.25, walk_scale_m=0.0, bumper_m=0.2, clearance_m=0.2), cells=3)
+    still = {"walk_scale_m": 0.0, "bumper_m": 0.25, "clearance_m": 0.25}
+    simulator = Simulator(held(2, ticks_per_slot=4, **still), cells=3)
+    fast = Simulator(held(0, ticks_per_slot=1, slot_s=0.25, **still), cells=3)
     fast.world.crowd.place(np.arange(3), simulator.world.crowd.xy)
     fast.look()
     memory = math.cos(math.acos(simulator.config.radio.fading_memory) / 4)
     diffuse = simulator._diffuse.copy()
-    fresh = Simulator(held(2, ticks_per_slot=4, walk_scale_m=0.0), cells=3)._draw_diffuse(np.arange(3))
+    fresh = Simulator(held(2, ticks_per_slot=4, **still), cells=3)._draw_diffuse(np.arange(3))
     assert memory == pytest.approx(math.cos(math.pi / 8))
     asked, seen = [], []
 
@@ -446,9 +447,8 @@ def test_a_fixed_panel_faces_the_room_for_good_and_a_turning_one_its_users(pan):
         seen = [simulator.scene.panel_heading]
         for _ in range(3):
             _, phases, powers = inputs(simulator, rng, 3)
-            seen.append(
-                simulator.step(np.zeros((3, 2)), phases, powers, turn if pan == "action" else None).scene.panel_heading
-            )
+            slot = simulator.step(np.zeros((3, 2)), phases, powers, turn if pan == "action" else None)
+            seen.append(slot.scene.panel_heading)
         headings[ris] = np.exp(1j * np.array(seen))
     start = simulator.world.start
     ap, middle = simulator.ap_position[0, :2], simulator.room_m[0] / 2
