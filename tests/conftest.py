@@ -7,9 +7,18 @@ from mjris import streams
 settings.register_profile("mjris", deadline=None)
 settings.load_profile("mjris")
 
+_from_entropy = streams.fresh_seed
 
-@pytest.fixture(autouse=True)
-def unnamed_seed(monkeypatch, request):
-    """What a test leaves unseeded is the same in every run, but where it is marked to ask for fresh entropy."""
-    if "fresh_entropy" not in request.keywords:
-        monkeypatch.setattr(streams, "fresh_seed", lambda: 0)
+
+@pytest.fixture(autouse=True, scope="session")
+def unnamed_seeds():
+    """What a test leaves unseeded is the same in every run."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(streams, "fresh_seed", lambda: 0)
+        yield
+
+
+@pytest.fixture
+def fresh_entropy(monkeypatch):
+    """Unnamed seeds as users have them."""
+    monkeypatch.setattr(streams, "fresh_seed", _from_entropy)

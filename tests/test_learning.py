@@ -30,8 +30,8 @@ def test_three_federated_cells_learn_where_to_drive(tmp_path: Path):
     made = config()
     train(made, tmp_path / "run")
     agent = load_policy(tmp_path / "run")
-    learned, _, _, none = agent_policies(lambda observation: agent.predict(observation, deterministic=True)[0])
-    judged = {name: play(made, policy, 24, 77) for name, policy in (("learned", learned), ("no RIS", none))}
+    agents = agent_policies(lambda observation: agent.predict(observation, deterministic=True)[0])
+    judged = {each.name: play(made, each, 24, 77) for each in agents if each.name in ("learned", "no RIS")}
     value = {name: played.value_bps.mean() / 1e6 for name, played in judged.items()}
     still = play(made, reference_controls(), 24, 77).value_bps.mean() / 1e6
     # Three seeds had 0.13 to 0.25 over standing still, and what the map's goals give is 0.32.

@@ -11,7 +11,8 @@ from mjris.config import Config, ConfigError
 from mjris.config import World as WorldConfig
 from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, layout_names, load_layout
 from mjris.world.layout_checks import check_layout
-from mjris.world.office import GROUP_BLOCKERS, PERSON_HEIGHT_M, PERSON_RADIUS_M
+from mjris.world.office import GROUP_BLOCKERS, PERSON_HEIGHT_M, PERSON_RADIUS_M, build
+from mjris.world.sight import Sight
 from mjris.world.world import World
 
 GRAZE_M = 1e-6
@@ -46,7 +47,7 @@ def crossed(layout: Layout, start: np.ndarray, end: np.ndarray, grow_m: float) -
 
 def assert_counts_agree(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Compare all links that graze nothing; returns their counts."""
-    counted = world(layout).sight.blockers(start[None], end[None])[0]
+    counted = Sight([build(Config(), layout)]).blockers(start[None], end[None])[0]
     most, least = crossed(layout, start, end, GRAZE_M), crossed(layout, start, end, -GRAZE_M)
     clear_cut = most == least
     assert clear_cut.mean() > 0.99
@@ -213,7 +214,7 @@ def test_a_film_right_behind_a_face_counts(behind_m):
     layout = Layout(name="film", room=Room(size=(10, 4, 3)), ap=ap, start=(1, 1), obstacles=obstacles)
     start, end = np.array([[3, 2, 1], [7, 2, 1], [3, 2.4, 1]]), np.array([[7, 2, 1], [3, 2, 1], [7, 2.4, 1]])
     assert_counts_agree(layout, start, end)
-    counted = world(layout).sight.blockers(start[None], end[None])[0]
+    counted = Sight([build(Config(), layout)]).blockers(start[None], end[None])[0]
     assert counted.tolist() == [2, 2, 1]
 
 
@@ -247,7 +248,7 @@ def test_touching_and_nested_bricks_of_one_and_of_several_obstacles():
     )
     start = np.array([[0.5, 2, 1], [9.5, 2.1, 1.2], [0.5, 2, 1], [2.5, 2, 1], [6.5, 2, 1], [0.5, 3.5, 1]])
     end = np.array([[9.5, 2, 1], [0.5, 2.1, 1.2], [2.9, 2, 1], [3.6, 2, 1], [9.5, 2, 1], [9.5, 3.5, 1]])
-    counted = world(layout).sight.blockers(start[None], end[None])[0]
+    counted = Sight([build(Config(), layout)]).blockers(start[None], end[None])[0]
     assert counted.tolist() == [4, 4, 1, 2, 2, 0]
 
 

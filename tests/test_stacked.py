@@ -284,6 +284,7 @@ def office_config(**changes) -> Config:
     federation = {"num_cells": 2, "episodes": 2, "round_episodes": 1} | changes
     return replace(
         office,
+        seed=0,
         # A mobile rover may drive another way round for a rounding error.
         task=replace(office.task, slots=12, ris="fixed"),
         agent=replace(office.agent, hidden=(16,), batch_size=8, warmup_slots=4),

@@ -5,9 +5,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from mjris import make_vec
+from mjris import make_vec, streams
 from mjris.config import Config, ConfigError, preset
-from mjris.streams import Purpose, fresh_seed, generator, seeded, word
+from mjris.streams import Purpose, generator, seeded, word
 
 
 def test_all_streams_of_a_run_begin_in_other_states():
@@ -24,16 +24,16 @@ def test_seeds_of_rounds_and_cells_differ():
     assert len(set(words)) == len(words)
 
 
-@pytest.mark.fresh_entropy
+@pytest.mark.usefixtures("fresh_entropy")
 def test_a_config_without_a_seed_gets_another_one_each_time():
-    assert len({fresh_seed() for _ in range(10)}) == 10
+    assert len({streams.fresh_seed() for _ in range(10)}) == 10
     assert seeded(Config(seed=3)).named_seed == 3
     assert seeded(Config()).named_seed != seeded(Config()).named_seed
     with pytest.raises(ConfigError, match=r"seed: none is given"):
         Config().named_seed  # noqa: B018
 
 
-@pytest.mark.fresh_entropy
+@pytest.mark.usefixtures("fresh_entropy")
 def test_copies_that_nobody_seeds_play_episodes_of_their_own():
     envs = gymnasium.make_vec("mjris/Office-v0", num_envs=4, vectorization_mode="sync")
     observations, _ = envs.reset()

@@ -66,10 +66,10 @@ def reference_oma() -> list[Policy]:
     """The same with OMA: serving every user, and with a scheduler that may select them as NOMA's powers do."""
     reference = reference_controls()
     return [
-        Policy(f"{reference.name}, {words}", _action_zero, {**reference.changes, "radio": radio})
-        for words, radio in (
-            ("OMA", {"scheme": "oma"}),
-            ("OMA that selects users", {"scheme": "oma", "oma_selection": True}),
+        Policy(name, _action_zero, {**reference.changes, "radio": radio})
+        for name, radio in (
+            (f"{reference.name}, OMA", {"scheme": "oma"}),
+            ("OMA, users selected", {"scheme": "oma", "oma_selection": True}),
         )
     ]
 

@@ -64,8 +64,9 @@ def qos_first_powers(
 
     "noma": every cluster spends P/V. In decoding order a user gets just what its QoS takes, t/(1+t) (P_left + 1/e)
     with t = 2^(R/B) - 1 and the effective gain e, or nothing where all that is left would not be enough; the last one
-    gets the rest. Where no QoS is asked for, that is the strongest user in any order. "oma": every user has P/K. Other
-    arguments and errors as in `noma_rates` and `split_powers`.
+    gets the rest. In an `order` that is not that of the gains a user has the gain of the weakest that decodes its
+    signal, and all are taken to be served. Where no QoS is asked for, all goes to the strongest user in any order.
+    "oma": every user has P/K. Other arguments and errors as in `noma_rates` and `split_powers`.
     """
     xp = array_namespace(channel)
     num_users = channel.shape[-2]
