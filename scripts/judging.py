@@ -14,6 +14,7 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from mjris.config import Config, load, preset
+from mjris.cores import CORES
 from mjris.eval import parking
 from mjris.eval.playing import play
 from mjris.eval.policies import Policy, agent_policies, fixed_ris, no_ris, planner, reference_controls
@@ -101,7 +102,7 @@ def kept(path: Path, judge: Callable[[], Scores]) -> Scores:
 
 def each(jobs: Sequence[Job]) -> list[Scores]:
     """The scores of all jobs, in order and in parallel, with a bar; equal jobs are done once."""
-    pool = ProcessPoolExecutor(mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,))
+    pool = ProcessPoolExecutor(CORES, get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,))
     with progress() as shown, pool:
         bar = shown.add_task("judgements", total=len(set(jobs)))
         futures = {job: pool.submit(job[0], *job[1:]) for job in dict.fromkeys(jobs)}

@@ -1,4 +1,6 @@
+import os
 import pickle
+import signal
 
 import numpy as np
 import pytest
@@ -16,6 +18,9 @@ class Counter:
     def add(self, state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         self._sum += state["value"]
         return {"sum": self._sum, "count": state["count"] + 1}
+
+    def die(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_tensors_arrive_as_they_were_sent():
@@ -45,4 +50,11 @@ def test_every_object_answers_from_its_own_process():
     assert [answer["count"].item() for answer in answers] == [1, 1]
     with pytest.raises(AttributeError, match="subtract"):
         counters.call("subtract", state)
+    counters.close()
+
+
+def test_a_process_that_is_gone_is_told_in_one_sentence():
+    counters = Remotes(Counter, [(1,), (10,)])
+    with pytest.raises(RuntimeError, match="a worker process of the training has ended by itself"):
+        counters.call("die")
     counters.close()

@@ -5,6 +5,7 @@ import multiprocessing
 import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import torch
@@ -13,7 +14,8 @@ import torch
 class Remotes:
     """One object in each of several processes; what makes it must be importable by name.
 
-    An exception in a process is raised here, once the others have finished what they were asked for.
+    An exception in a process is raised here, once the others have finished what they were asked for, and `RuntimeError`
+    where a process is gone.
     """
 
     def __init__(self, make: Callable[..., object], arguments: Sequence[tuple[Any, ...]]):
@@ -39,7 +41,10 @@ class Remotes:
     def _run(self, function: Callable[[bytes], bytes], messages: Sequence[Any]) -> list[Any]:
         # Pickled here, because torch would send tensors through shared file descriptors.
         futures = [pool.submit(function, _packed(message)) for pool, message in zip(self._pools, messages, strict=True)]
-        return [pickle.loads(future.result()) for future in futures]
+        try:
+            return [pickle.loads(future.result()) for future in futures]
+        except BrokenProcessPool:
+            raise RuntimeError("a worker process of the training has ended by itself") from None
 
 
 class _Pickler(pickle.Pickler):
