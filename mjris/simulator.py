@@ -153,14 +153,17 @@ class Simulator:
     ) -> "_Sent":
         """What is sent in the parts of a slot, which are its ticks' beginnings, or its beginning alone."""
         updates, ticks = self.config.task.phase_updates_per_slot, self.config.world.ticks_per_slot
-        # The last scene is that of the next slot's beginning.
-        parts = parts[:ticks] if updates else parts
         first = self.effective_channel(phases_rad)
         order = self._fix_order(first, powers_w)
+        bare_powers, bare_rates = self.reference_powers(parts[0].channels.direct)
+        if updates == 0:
+            rates = self.rates(first, powers_w, self.order)
+            return _Sent(rates, bare_rates, first, order, (parts[0].channels.direct,))
+        # The last scene is that of the next slot's beginning.
+        parts = parts[:ticks]
         rates, bare_rates = np.zeros(powers_w.shape), np.zeros(powers_w.shape)
-        bare_powers, _ = self.reference_powers(parts[0].channels.direct)
         for tick, part in enumerate(parts):
-            if updates and tick and tick % (ticks // updates) == 0:
+            if tick and tick % (ticks // updates) == 0:
                 bare_powers, _ = self.reference_powers(part.channels.direct)
                 if retune is not None:
                     phases_rad, powers_w = retune(part.channels)
