@@ -102,7 +102,8 @@ def kept(path: Path, judge: Callable[[], Scores]) -> Scores:
 
 def each(jobs: Sequence[Job]) -> list[Scores]:
     """The scores of all jobs, in order and in parallel, with a bar; equal jobs are done once."""
-    pool = ProcessPoolExecutor(CORES, get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,))
+    context = get_context("spawn")
+    pool = ProcessPoolExecutor(max_workers=CORES, mp_context=context, initializer=torch.set_num_threads, initargs=(1,))
     with progress() as shown, pool:
         bar = shown.add_task("judgements", total=len(set(jobs)))
         futures = {job: pool.submit(job[0], *job[1:]) for job in dict.fromkeys(jobs)}
