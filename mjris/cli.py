@@ -15,7 +15,6 @@ from mjris.config import Config, ConfigError, load, preset
 
 if TYPE_CHECKING:
     import pandas as pd
-    from rich.console import Console
 
     from mjris.eval.policies import Act
 
@@ -77,6 +76,7 @@ class Evaluate:
         from rich.console import Console
 
         from mjris.eval.evaluate import compare
+        from mjris.eval.tables import print_comparison
         from mjris.show.curves import training_gain
 
         run_dirs = self.run_dirs or (_shipped(),)
@@ -97,7 +97,7 @@ class Evaluate:
                 lambda name: status.update(f"{name}: {self.scenes} scenes"),
                 with_planner=self.planner,
             )
-        _print_table(console, table)
+        print_comparison(console, table)
         path = self.out or (self.run_dirs[0] if self.run_dirs else _SHIPPED_OUT) / "evaluation.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         table.to_csv(path, index=False, float_format="%.6g")
@@ -113,6 +113,7 @@ class Evaluate:
     def _draw(self, act: "Act", table: "pd.DataFrame", folder: Path, report: Callable[[str], None]) -> list[Path]:
         """Write the figures; returns their paths. `report` hears of every checkpoint that is played."""
         from mjris.eval.checkpoints import judge
+        from mjris.learn.policy import load_policy, without_noise
         from mjris.show.curves import plot_learning, plot_phases, track_phases
         from mjris.show.field import motion_field, plot_motion_field
 
@@ -122,7 +123,7 @@ class Evaluate:
         if self._have_curves():
 
             def checkpoint(run: Path, round_: int) -> "Act":
-                return _learned(run, self.cell, self.config, round_)
+                return without_noise(load_policy(run, self.cell, round_=round_))
 
             judged = judge(self.config, self.run_dirs, checkpoint, self.scenes, self.scene_seed, report)
             paths.insert(0, folder / "learning_curve.png")
@@ -213,6 +214,7 @@ class Map:
             _load_opengl()
         from mjris.eval.building import leakage_table, storey_height_m
         from mjris.eval.floormap import floor_map
+        from mjris.eval.tables import print_leakage
         from mjris.show.maps import write_maps
         from mjris.simulator import Simulator
 
@@ -234,7 +236,7 @@ class Map:
             table = leakage_table(floor, self.config, storey_height_m(office, self.slab_m), self.bands)
         paths = write_maps(self.config, office, floor, table, self.on_floor, self.out)
         if table is not None:
-            _print_leakage(table)
+            print_leakage(table)
         for path in paths:
             print(path)
 
@@ -327,15 +329,12 @@ def _load_opengl() -> None:
         ) from None
 
 
-def _learned(run_dir: Path, cell: int, config: Config, round_: int | None = None) -> "Act":
-    """The agent of a cell after a round, the last by default, acting without noise.
-
-    Raises `ConfigError` if the task's sizes are others.
-    """
-    from mjris.learn.policy import load_policy
+def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
+    """The trained agent of a cell, acting without noise. Raises `ConfigError` if the task's sizes are others."""
+    from mjris.learn.policy import load_policy, without_noise
     from mjris.task import Task
 
-    agent = load_policy(run_dir, cell, round_=round_)
+    agent = load_policy(run_dir, cell)
     task = Task(config)
     for what, size, space in (
         ("observation", task.observation_size, agent.observation_space),
@@ -346,41 +345,7 @@ def _learned(run_dir: Path, cell: int, config: Config, round_: int | None = None
                 f"config: the {what} has {size} entries and the agent in {run_dir} was trained with {space.shape}: "
                 "leave out the flags that change it"
             )
-    return lambda observation: agent.predict(observation, deterministic=True)[0]
-
-
-def _print_table(console: "Console", table: "pd.DataFrame") -> None:
-    from mjris.eval.tables import broken_columns, fairness_table, rate_table
-
-    console.print(rate_table(table), fairness_table(table))
-    for row in table.dropna(subset="heading_deg").to_dict("records"):
-        where = f"{row['x_m']:.2f} {row['y_m']:.2f} m, facing {row['heading_deg']:.0f}°"
-        console.print(f"{row['policy']}: at {where}, found in other scenes", highlight=False)
-    for row in table.dropna(subset="qos_share").to_dict("records"):
-        broken = ", ".join(f"{name.removeprefix('violated_')} {row[name]}" for name in broken_columns() if row[name])
-        if broken:
-            console.print(f"{row['policy']}: slots that broke a constraint: {broken}", highlight=False)
-
-
-def _print_leakage(table: "pd.DataFrame") -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    shown = Table(
-        title=f"Leakage between floors so far apart: mean (worst) over the floor; noise {table.noise_dbm[0]:.1f} dBm"
-    )
-    for name in ("apart", "same band", "interference [dBm]", "INR [dB]", "rate lost [%]"):
-        shown.add_column(Text(name), justify="right", no_wrap=True)
-    for row in table.to_dict("records"):
-        shown.add_row(
-            str(row["floors_apart"]),
-            "yes" if row["same_band"] else "no",
-            f"{row['interference_dbm']:.1f} ({row['interference_worst_dbm']:.1f})",
-            f"{row['inr_db']:.1f} ({row['inr_worst_db']:.1f})",
-            f"{row['rate_lost_percent']:.3f} ({row['rate_lost_worst_percent']:.3f})",
-        )
-    Console().print(shown)
+    return without_noise(agent)
 
 
 def _fail(sentence: str) -> int:

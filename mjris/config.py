@@ -188,7 +188,7 @@ class Task:
     the panel stays, too, and faces the bisector of AP and the room's middle, or the rover's front where pan is locked;
     none: no RIS at all."""
     phases: Literal["learned", "random"] = "learned"
-    """learned: from the action; random: drawn anew every slot."""
+    """learned: from the action; random: drawn anew whenever they are set."""
     motion: Literal["displacement", "waypoint", "goal"] = "displacement"
     """displacement: where to in this slot; waypoint: a place from the rover, driven to on the shortest free way; goal:
     the same, from the place that the radio map promises most for."""

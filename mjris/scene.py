@@ -65,8 +65,8 @@ class Slot:
     """[E, K]"""
     bare_rates_bps: FloatArray
     """What the same slot gives without RIS under the reference powers, in the order of its gains [E, K] [bit/s]."""
-    directs: tuple[ComplexArray, ...]
-    """h_d [E, K, M] of every part of the slot, in which rates are means: one unless phases are held."""
+    channels: tuple[channel.Channels, ...]
+    """Over which it transmitted in every part, of which rates are means: one, unless phases are held."""
     displacement_m: FloatArray
     """How far each rover got [E, 2] [m]."""
     clearance_m: FloatArray

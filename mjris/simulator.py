@@ -31,7 +31,7 @@ class _Sent(NamedTuple):
     """As the slot began."""
     order: IntArray | None
     """The one that was fixed before."""
-    directs: tuple[ComplexArray, ...]
+    channels: tuple[channel.Channels, ...]
 
 
 class Simulator:
@@ -129,7 +129,7 @@ class Simulator:
             rates_bps=sent.rates_bps,
             qos_met=sent.rates_bps >= self.config.task.qos_bps,
             bare_rates_bps=sent.bare_rates_bps,
-            directs=sent.directs,
+            channels=sent.channels,
             displacement_m=self.world.fleet.xy - before,
             clearance_m=motion.clearance_m,
             collisions=motion.collisions,
@@ -158,7 +158,7 @@ class Simulator:
         bare_powers, bare_rates = self.reference_powers(parts[0].channels.direct)
         if updates == 0:
             rates = self.rates(first, powers_w, self.order)
-            return _Sent(rates, bare_rates, first, order, (parts[0].channels.direct,))
+            return _Sent(rates, bare_rates, first, order, (parts[0].channels,))
         # The last scene is that of the next slot's beginning.
         parts = parts[:ticks]
         rates, bare_rates = np.zeros(powers_w.shape), np.zeros(powers_w.shape)
@@ -170,7 +170,7 @@ class Simulator:
             effective = first if tick == 0 else self.effective_channel(phases_rad, part.channels)
             rates += self.rates(effective, powers_w, self.order) / len(parts)
             bare_rates += self.rates(part.channels.direct, bare_powers) / len(parts)
-        return _Sent(rates, bare_rates, first, order, tuple(part.channels.direct for part in parts))
+        return _Sent(rates, bare_rates, first, order, tuple(part.channels for part in parts))
 
     def _between(self, fresh: ComplexArray, share: float) -> ComplexArray:
         """Diffuse fading when a share of the slot is over, on the arc to that of the next slot; its power stays one."""

@@ -63,27 +63,22 @@ class Task:
         """Play one slot with actions [E, A]. Raises `ValueError` for any other shape and for numbers not finite."""
         before = self._potential()
         slot = self.simulator.step(*self.decode(action))
-        # Where an episode truly ends there is nothing more to be had: shaping must add up to the start's potential.
-        after = np.where(self.ended, 0.0, self._potential())
-        shaping = self.config.agent.discount * after - before
+        shaping = self.config.agent.discount * self._potential() - before
         return Outcome(self.observe(), self.reward(slot) + shaping, slot)
-
-    @property
-    def ended(self) -> NDArray[np.bool_]:
-        """Whether the cells' episodes have come to a true end [E], after which nothing has a value."""
-        task = self.config.task
-        return (self.simulator.slots >= task.slots) & (task.end == "terminal")
 
     def _potential(self) -> FloatArray | float:
         """Potential of the scene [E] [Mb/s], or zero, for rewards shaped as in Ng, Harada and Russell (1999)."""
-        weight = self.config.task.map_potential
+        task, simulator = self.config.task, self.simulator
+        weight = task.map_potential
         if weight == 0:
             return 0.0
-        simulator = self.simulator
         if self._valued_for is not simulator.scene:
             here = place_values(simulator, simulator.scene.rover_xy[:, None])[:, 0]
             self._valued_for, self._valued = simulator.scene, weight * (here - bare_values(simulator)) / 1e6
-        return self._valued
+        if task.end == "time_limit":
+            return self._valued
+        # After a true end nothing is to be had: shaping has to add up to the potential of the start.
+        return np.where(simulator.slots < task.slots, self._valued, 0.0)
 
     def decode(self, action: FloatArray) -> Controls:
         """What actions [E, A] command.
@@ -97,12 +92,11 @@ class Task:
         """
         action = np.clip(checked("action", action, (self.simulator.num_cells, self.action_size)), -1, 1)
         phases_end = 2 + self._num_phases
-        powers = action[:, phases_end : phases_end + self.config.world.num_users]
+        phases, powers = action[:, 2:phases_end], action[:, phases_end : phases_end + self.config.world.num_users]
         pan_rad = np.pi * action[:, -1] if self._pans else None
-        held = None if self.config.task.phase_control == "weights" else self._phases(action[:, 2:phases_end])
 
         def retune(channels: Channels) -> tuple[FloatArray, FloatArray]:
-            phases_rad = self._phases(action[:, 2:phases_end], channels) if held is None else held
+            phases_rad = self._phases(phases, channels)
             return phases_rad, self._powers(powers, phases_rad, channels)
 
         phases_rad, powers_w = retune(self.simulator.scene.channels)
@@ -144,7 +138,7 @@ class Task:
             return self.simulator.world.way_toward(self.simulator.scene.rover_xy + observation.FAR_M * offset)
         return self.simulator.world.way_toward(self._goals()[0] + _GOAL_REACH_M * offset)
 
-    def _phases(self, action: FloatArray, channels: Channels | None = None) -> FloatArray:
+    def _phases(self, action: FloatArray, channels: Channels) -> FloatArray:
         if self.config.task.phases == "random":
             return self.simulator.random_phases()
         if self.config.task.phase_control == "weights":

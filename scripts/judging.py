@@ -18,7 +18,7 @@ from mjris.cores import CORES
 from mjris.eval import parking
 from mjris.eval.playing import play
 from mjris.eval.policies import Policy, agent_policies, fixed_ris, no_ris, planner, reference_controls
-from mjris.learn.policy import load_policy
+from mjris.learn.policy import load_policy, without_noise
 from mjris.learn.study import run_folder, train_missing
 
 RIVALS = ("planner", "closed forms", parking.NAME, "fixed RIS", "no RIS")
@@ -51,7 +51,7 @@ def agent_scores(run: Path, episode: int, cell: int, scenes: int, seed: int) -> 
     def judge() -> Scores:
         config = load(run / "config.json")
         agent = load_policy(run, cell, round_=-(-episode // config.federation.round_episodes))
-        learned = agent_policies(lambda observation: agent.predict(observation, deterministic=True)[0])[0]
+        learned = agent_policies(without_noise(agent))[0]
         scores = _scores(config, replace(learned, changes={}), scenes, seed)  # in the task that it was trained for
         return scores | {"trained": trained_at(run)}
 

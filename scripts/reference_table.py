@@ -26,9 +26,10 @@ from rich.progress import Progress
 from mjris.config import Config, ConfigError, preset
 from mjris.eval.bound import upper_bound
 from mjris.eval.intervals import gain_percent, interval
-from mjris.eval.optimum import best_known, best_powers
+from mjris.eval.optimum import best_known
 from mjris.eval.planner import best_places
 from mjris.eval.policies import parked, planned
+from mjris.eval.powers import best_powers
 from mjris.radio.channel import Channels
 from mjris.radiomap import penalised
 from mjris.simulator import Simulator

@@ -8,13 +8,15 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from mjris.cli import _print_table, main
+from mjris.cli import main
 from mjris.config import Config, ConfigError, Radio, Task, World, load, preset
 from mjris.eval.bound import upper_bound
 from mjris.eval.evaluate import compare
-from mjris.eval.optimum import best_known, best_powers
+from mjris.eval.optimum import best_known
 from mjris.eval.playing import play
 from mjris.eval.policies import agent_policies, no_ris, planned, planner, reference_controls
+from mjris.eval.powers import best_powers
+from mjris.eval.tables import print_comparison
 from mjris.simulator import Simulator
 from mjris.streams import Purpose, generator
 from mjris.task import Task as Agents
@@ -170,7 +172,7 @@ def test_bad_input_is_one_sentence(scenes, seed, sentence):
 
 def test_the_printed_table_has_a_line_a_policy_in_120_columns(table):
     console = Console(record=True, width=120)
-    _print_table(console, table)
+    print_comparison(console, table)
     lines = [line.strip() for line in console.export_text().splitlines()]
     rows = table.to_dict("records")
     for row in rows:
@@ -204,7 +206,7 @@ def test_the_evaluation_counts_the_slots_that_break_a_constraint():
     assert noma["violated_decoding_order"].between(1, slots * scenes - 1).all()
     np.testing.assert_allclose(table["violated_qos"].astype(int), slots * scenes * (1 - table["qos_share"]))
     console = Console(record=True, width=80)
-    _print_table(console, table)
+    print_comparison(console, table)
     for policy, count in zip(noma["policy"], noma["violated_decoding_order"], strict=True):
         assert f"{policy}: slots that broke a constraint: decoding_order {count}" in console.export_text(clear=False)
     dynamic = compare(replace(static, radio=Radio()), still, scenes, 5, lambda _: None, with_planner=False)

@@ -13,7 +13,8 @@ from pymanopt.optimizers import ConjugateGradient
 
 from mjris.config import Radio
 from mjris.eval.bound import upper_bound
-from mjris.eval.optimum import best_known, best_powers
+from mjris.eval.optimum import best_known
+from mjris.eval.powers import best_powers
 from mjris.radio import alignment, serving
 from mjris.radio.access import noma_rates, oma_rates
 from mjris.radio.channel import Channels, effective_channel, ris_response

@@ -414,7 +414,8 @@ def test_phases_that_are_held_see_what_a_plain_loop_over_the_ticks_sees():
     assert len(asked) == 1
     np.testing.assert_allclose(asked[0].reflected, seen[2].reflected, rtol=1e-6)
     np.testing.assert_allclose(slot.rates_bps, expected, rtol=1e-6)
-    assert len(slot.directs) == 4
+    assert len(slot.channels) == 4
+    np.testing.assert_allclose(slot.channels[3].direct, seen[3].direct, rtol=1e-6)
 
 
 def test_phases_that_are_held_lose_and_updates_bring_it_back():

@@ -10,8 +10,8 @@ from mjris.config import Config
 from mjris.constraints import NAMES
 from mjris.eval import fairness
 from mjris.eval.bound import upper_bound
-from mjris.eval.optimum import best_powers
 from mjris.eval.policies import Policy
+from mjris.eval.powers import best_powers
 from mjris.radiomap import penalised
 from mjris.streams import CellId
 from mjris.task import Task
@@ -64,12 +64,13 @@ def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: boo
     collisions, clearance = 0, np.inf
     violations = dict.fromkeys(NAMES, 0)
     for _ in range(config.task.slots):
-        channels, controls = simulator.scene.channels, policy.controls(task)
+        controls = policy.controls(task)
         slot = simulator.step(*controls)
         rates.append(slot.rates_bps)
         powers.append(controls.powers_w)
-        direct.append(slot.directs)
-        bounds.append(upper_bound(channels, simulator.clusters, radio) if bounded else np.full(scenes, np.nan))
+        direct.append([part.direct for part in slot.channels])
+        if bounded:
+            bounds.append(np.mean([upper_bound(part, simulator.clusters, radio) for part in slot.channels], 0))
         met.append(slot.qos_met.all(-1))
         collisions += int(slot.collisions.sum())
         clearance = min(clearance, float(slot.clearance_m.min()))
@@ -92,5 +93,5 @@ def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: boo
         collisions=collisions,
         clearance_m=clearance,
         violations=violations,
-        bound_bps=np.mean(bounds, 0),
+        bound_bps=np.mean(bounds, 0) if bounded else np.full(scenes, np.nan),
     )

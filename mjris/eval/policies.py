@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.eval.optimum import best_known, best_powers
+from mjris.eval.optimum import best_known
+from mjris.eval.powers import best_powers
 from mjris.radio.channel import Channels
 from mjris.radiomap import best_goals
 from mjris.scene import Controls

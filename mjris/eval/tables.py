@@ -1,10 +1,42 @@
-"""A comparison of policies as tables for the console, at most 120 columns wide."""
+"""Tables for the console, at most 120 columns wide."""
 
 import pandas as pd
 from rich import box
+from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mjris.constraints import NAMES
+
+
+def print_comparison(console: Console, table: pd.DataFrame) -> None:
+    """Print the rows of `evaluate.compare`, and below them what cannot stand in columns."""
+    console.print(rate_table(table), fairness_table(table))
+    for row in table.dropna(subset="heading_deg").to_dict("records"):
+        where = f"{row['x_m']:.2f} {row['y_m']:.2f} m, facing {row['heading_deg']:.0f}°"
+        console.print(f"{row['policy']}: at {where}, found in other scenes", highlight=False)
+    for row in table.dropna(subset="qos_share").to_dict("records"):
+        broken = ", ".join(f"{name.removeprefix('violated_')} {row[name]}" for name in _broken_columns() if row[name])
+        if broken:
+            console.print(f"{row['policy']}: slots that broke a constraint: {broken}", highlight=False)
+
+
+def print_leakage(table: pd.DataFrame) -> None:
+    """Print the rows of `building.leakage_table`."""
+    shown = Table(
+        title=f"Leakage between floors so far apart: mean (worst) over the floor; noise {table.noise_dbm[0]:.1f} dBm"
+    )
+    for name in ("apart", "same band", "interference [dBm]", "INR [dB]", "rate lost [%]"):
+        shown.add_column(Text(name), justify="right", no_wrap=True)
+    for row in table.to_dict("records"):
+        shown.add_row(
+            str(row["floors_apart"]),
+            "yes" if row["same_band"] else "no",
+            f"{row['interference_dbm']:.1f} ({row['interference_worst_dbm']:.1f})",
+            f"{row['inr_db']:.1f} ({row['inr_worst_db']:.1f})",
+            f"{row['rate_lost_percent']:.3f} ({row['rate_lost_worst_percent']:.3f})",
+        )
+    Console().print(shown)
 
 
 def rate_table(table: pd.DataFrame) -> Table:
@@ -33,7 +65,7 @@ def rate_table(table: pd.DataFrame) -> Table:
             f"{row['penalised_mbps']:.3f}" if played else "",
             f"{row['qos_share']:.1%}" if played else "",
             *(f"{row[f'percent_of_{name}']:.1f}" for name in shares),
-            str(sum(row[name] for name in broken_columns())) if played else "",
+            str(sum(row[name] for name in _broken_columns())) if played else "",
             f"{row['clearance_m']:.3f}" if played else "",
         )
     return shown
@@ -63,7 +95,7 @@ def fairness_table(table: pd.DataFrame) -> Table:
     return shown
 
 
-def broken_columns() -> list[str]:
+def _broken_columns() -> list[str]:
     """Columns that count slots with a broken constraint; but for QoS, which has a column of its own."""
     return [f"violated_{name}" for name in NAMES if name != "qos"]
 

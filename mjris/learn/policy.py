@@ -1,12 +1,14 @@
 """Trained agents from their files: checkpoints of run folders, and exported policies."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from pickle import UnpicklingError
 from zipfile import BadZipFile
 
 import numpy as np
 from gymnasium import Env
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from stable_baselines3 import DDPG
@@ -49,6 +51,11 @@ def load_policy(run_dir: Path, cell: int = 0, *, round_: int | None = None, make
     except _DAMAGED:
         raise ConfigError(f"{last}: is damaged or does not fit {run_dir / 'config.json'}") from None
     return agent
+
+
+def without_noise(agent: DDPG) -> Callable[[NDArray[np.float32]], NDArray[np.floating]]:
+    """What an agent does without exploring: actions [E, A] for observations [E, D]."""
+    return lambda observations: agent.predict(observations, deterministic=True)[0]
 
 
 def export_policy(run_dir: Path, out: Path, cell: int = 0, *, make_env: EnvFactory = OfficeEnv) -> list[Path]:

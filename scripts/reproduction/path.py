@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from mjris.config import Config
 from mjris.eval.floormap import FloorMap, floor_map
-from mjris.learn.policy import load_policy
+from mjris.learn.policy import load_policy, without_noise
 from mjris.show.rollout import Rollout, record
 from mjris.show.trajectory import HEIGHTS_LABEL, draw_trajectory
 from mjris.streams import CellId
@@ -73,7 +73,7 @@ def drive(config: Config, run: Path, scene: int, slots: int) -> tuple[Rollout, T
     """An episode of a run's agent, and the floor as it begins."""
     agent, task = load_policy(run), _scenes(config, [scene])
     floor = floor_map(task.simulator, resolution_m=0.5)
-    rollout = record(task, lambda seen: agent.predict(seen, deterministic=True)[0], slots, SCENE_SEED)
+    rollout = record(task, without_noise(agent), slots, SCENE_SEED)
     return rollout, task, floor
 
 
