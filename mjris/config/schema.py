@@ -1,15 +1,13 @@
-"""Every parameter of a run, with its unit in its name: frozen dataclasses, presets, JSON."""
+"""Every parameter of a run, with its unit in its name and its default: frozen dataclasses."""
 
-import functools
 import math
-from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
-T = TypeVar("T")
+from mjris.config.errors import ConfigError, plain_errors
+
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 Positive = Annotated[float, Field(gt=0)]
@@ -24,26 +22,7 @@ _SERVO_M = 0.01
 """What the servo takes to let go of the last speed."""
 
 
-class ConfigError(Exception):
-    """A parameter has a value that is not allowed; the message is one sentence for the user."""
-
-
-def _plain_errors(section: type[T]) -> type[T]:
-    """Let a config dataclass raise `ConfigError`, not pydantic's own, when it is made by hand or from flags."""
-    construct = section.__init__
-
-    @functools.wraps(construct)
-    def init(self: T, **values: Any) -> None:
-        try:
-            construct(self, **values)
-        except ValidationError as error:
-            raise ConfigError(describe(error, section.__name__.lower())) from None
-
-    section.__init__ = init
-    return section
-
-
-@_plain_errors
+@plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class World:
     """The office, the rover and the people."""
@@ -108,7 +87,7 @@ class World:
         return self
 
 
-@_plain_errors
+@plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Radio:
     """Carrier, arrays, propagation and multiple access."""
@@ -170,7 +149,7 @@ class Radio:
         return dbm_to_w(self.noise_dbm_per_mhz) * self.bandwidth_hz / 1e6
 
 
-@_plain_errors
+@plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Task:
     """What the agent sees, decides and is rewarded for."""
@@ -211,7 +190,7 @@ class Task:
     """λ: the reward is divided by this where any user misses QoS."""
 
 
-@_plain_errors
+@plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Agent:
     """DDPG and its networks."""
@@ -248,7 +227,7 @@ class Agent:
         return self
 
 
-@_plain_errors
+@plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Federation:
     """Cells and how their agents are merged."""
@@ -269,7 +248,7 @@ class Federation:
     """Processes at most in which cells learn; 0 is one a core, 1 is this one."""
 
 
-@_plain_errors
+@plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Config:
     """Everything that determines a run."""
@@ -316,14 +295,15 @@ class Config:
 
     def to_json(self) -> str:
         """The config as JSON text, ending in a newline."""
-        return _ADAPTER.dump_json(self, indent=2).decode() + "\n"
+        return ADAPTER.dump_json(self, indent=2).decode() + "\n"
 
     def to_dict(self) -> dict[str, Any]:
         """The config as nested dicts of plain values."""
-        return _ADAPTER.dump_python(self)
+        return ADAPTER.dump_python(self)
 
 
-_ADAPTER = TypeAdapter(Config)
+ADAPTER = TypeAdapter(Config)
+"""Configs from and to plain values."""
 
 
 def dbm_to_w(power_dbm: float) -> float:
@@ -334,75 +314,3 @@ def dbm_to_w(power_dbm: float) -> float:
 def w_to_dbm(power_w: float) -> float:
     """Power in [W] to power in dBm."""
     return 10 * math.log10(power_w * 1e3)
-
-
-def describe(error: ValidationError, section: str = "") -> str:
-    """One sentence for a validation error: the field (of a section of the config), its value and what is allowed."""
-    first = error.errors()[0]
-    field = ".".join(str(part) for part in ((section,) if section not in ("", "config") else ()) + first["loc"])
-    message = first["msg"].removeprefix("Value error, ")
-    if message.startswith(("world.", "radio.", "task.", "agent.")):
-        return message
-    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"{field} is not a known field"
-    if first["type"] in ("missing", "missing_argument"):
-        return f"{field} is missing"
-    return f"{field}: {first['input']!r} is not allowed: {message[0].lower()}{message[1:]}"
-
-
-def validated(build: Callable[[], T], source: str = "config") -> T:
-    """The result of `build`, with any pydantic error turned into a one-sentence `ConfigError`."""
-    try:
-        return build()
-    except ValidationError as error:
-        raise ConfigError(f"{source}: {describe(error)}") from None
-
-
-def from_dict(data: dict[str, Any], source: str = "config") -> Config:
-    """Config from nested dicts; missing fields take their defaults. Raises `ConfigError`."""
-    return validated(lambda: _ADAPTER.validate_python(data), source)
-
-
-def load(path: Path) -> Config:
-    """Config from a JSON file. Raises `ConfigError` for a missing file, bad JSON or bad values."""
-    try:
-        text = path.read_text()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    return validated(lambda: _ADAPTER.validate_json(text), str(path))
-
-
-_PAPER = Config(radio=Radio(element_pattern="isotropic"))
-
-_OFFICE = Config(
-    world=World(drive="kinematic"),
-    task=Task(
-        end="time_limit",
-        motion="goal",
-        phase_control="weights",
-        power_reference="qos",
-        observation="map",
-        reward="gain",
-    ),
-    agent=Agent(network="mlp", batch_size=128, discount=0.9, target_rate=0.005, noise_scale=0.3, caution=1.0),
-    federation=Federation(episodes=100, round_episodes=10),
-)
-
-_DEMO = Config(
-    world=_OFFICE.world,
-    task=_OFFICE.task,
-    agent=_OFFICE.agent,
-    federation=Federation(episodes=30, round_episodes=5),
-)
-
-_PRESETS = {"office": _OFFICE, "paper": _PAPER, "demo": _DEMO}
-
-
-def preset(name: str) -> Config:
-    """A named config: "office" (recommended), "paper" (the paper's literal agent) or "demo" (minutes).
-
-    Raises `ConfigError` for any other name.
-    """
-    if name not in _PRESETS:
-        raise ConfigError(f"preset: {name!r} is not known: it is one of {', '.join(_PRESETS)}")
-    return _PRESETS[name]

@@ -1,0 +1,26 @@
+"""Every parameter of a run: its schema and defaults, presets, files, and what is wrong with a value.
+
+Imports nothing of the package: all else takes its numbers from here.
+"""
+
+from mjris.config.errors import ConfigError, validated
+from mjris.config.files import from_dict, load
+from mjris.config.presets import preset
+from mjris.config.schema import Agent, Config, Federation, Positive, Radio, Task, World, dbm_to_w, w_to_dbm
+
+__all__ = [
+    "Agent",
+    "Config",
+    "ConfigError",
+    "Federation",
+    "Positive",
+    "Radio",
+    "Task",
+    "World",
+    "dbm_to_w",
+    "from_dict",
+    "load",
+    "preset",
+    "validated",
+    "w_to_dbm",
+]
