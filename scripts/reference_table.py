@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -36,31 +36,38 @@ from mjris.simulator import Simulator
 from mjris.streams import CellId, Purpose, generator
 
 FloatArray = NDArray[np.floating]
+T = TypeVar("T", bound="Scenes")
 
 SCHEMES = ("noma", "oma")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
-    """How much is simulated."""
+class Scenes:
+    """What scenes are simulated."""
 
     scenes: int = 200
     """Random scenes, stepped together."""
-    slots: int = 100
-    """Slots of every scene's episode."""
-    every: int = 5
-    """One of so many slots is judged, the episode's first among them."""
     seed: int = 1_000_003
     """The scenes follow from this seed."""
-    layout: str = "office"
-    """Name of a layout or the path of a layout file."""
     out: Path | None = None
     """Where the table goes as .csv as well."""
 
     def __post_init__(self) -> None:
         for name, least in (("scenes", 2), ("slots", 1), ("every", 1), ("seed", 0)):
-            if getattr(self, name) < least:
+            if getattr(self, name, least) < least:
                 raise ConfigError(f"{name}: {getattr(self, name)} is not allowed: it must be at least {least}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(Scenes):
+    """How much is simulated."""
+
+    slots: int = 100
+    """Slots of every scene's episode."""
+    every: int = 5
+    """One of so many slots is judged, the episode's first among them."""
+    layout: str = "office"
+    """Name of a layout or the path of a layout file."""
 
     @property
     def judged(self) -> int:
@@ -274,7 +281,7 @@ def _scores(simulator: Simulator, rates: FloatArray) -> tuple[FloatArray, FloatA
     return rates.sum(-1), penalised(rates, task.qos_bps, task.qos_penalty), met
 
 
-def command(study: type[Study], description: str | None, run: Callable[[Study], None]) -> None:
+def command(study: type[T], description: str | None, run: Callable[[T], None]) -> None:
     """Run a study with the flags of the command line; bad input ends in one sentence and status 1."""
     try:
         run(tyro.cli(study, description=description))
