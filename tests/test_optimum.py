@@ -186,6 +186,7 @@ def test_a_cluster_saves_power_where_that_serves_the_other():
 
 
 @given(SEEDS)
+@settings(max_examples=10, phases=[Phase.generate])
 def test_the_best_known_for_a_given_order_is_kept_in_it_and_beats_the_closed_forms(seed):
     rng = np.random.default_rng(seed)
     channels = random_channels(rng, batch=(6,))
