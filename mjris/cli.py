@@ -216,7 +216,7 @@ class Map:
         from mjris.eval.floormap import floor_map
         from mjris.eval.tables import print_leakage
         from mjris.show.maps import write_maps
-        from mjris.simulator import Simulator
+        from mjris.simulation.simulator import Simulator
 
         if self.scene_seed < 0:
             raise ConfigError(f"scene_seed: {self.scene_seed} is not allowed: it must be at least 0")
@@ -332,7 +332,7 @@ def _load_opengl() -> None:
 def _learned(run_dir: Path, cell: int, config: Config) -> "Act":
     """The trained agent of a cell, acting without noise. Raises `ConfigError` if the task's sizes are others."""
     from mjris.learn.policy import load_policy, without_noise
-    from mjris.task import Task
+    from mjris.simulation.task import Task
 
     agent = load_policy(run_dir, cell)
     task = Task(config)

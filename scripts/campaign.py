@@ -21,7 +21,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from mjris.config import Config, from_dict
-from mjris.constraints import within_room
+from mjris.simulation.constraints import within_room
 from mjris.world.layout import Layout, load_layout
 from mjris.world.office import HULL_FLOOR_GAP_M, PERSON_RADIUS_M, hull_height
 from mjris.world.world import World

@@ -23,7 +23,7 @@ from reference_table import markdown_table, number, spread, statistic
 
 from mjris.config import Config, ConfigError, from_dict, preset
 from mjris.learn.study import run_folder
-from mjris.streams import Purpose, generator
+from mjris.simulation.streams import Purpose, generator
 
 
 @dataclass(frozen=True, kw_only=True)

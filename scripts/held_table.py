@@ -14,9 +14,9 @@ from reference_table import FloatArray, Scenes, command, finish, markdown_table,
 
 from mjris.config import preset
 from mjris.eval.intervals import gain_percent
-from mjris.radiomap import penalised
-from mjris.streams import CellId, Purpose, generator
-from mjris.task import Task
+from mjris.planning.radio_map import penalised
+from mjris.simulation.streams import CellId, Purpose, generator
+from mjris.simulation.task import Task
 
 UPDATES = (0, 1, 2, 5, 10)
 """Updates in a slot; 0 stands for phases that are always those of the moment."""

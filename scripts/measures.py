@@ -20,7 +20,8 @@ from pymanopt.optimizers import ConjugateGradient
 from stable_baselines3 import DDPG
 
 from mjris.config import Config, preset
-from mjris.env import OfficeEnv, OfficeVecEnv
+from mjris.envs.gym_env import OfficeEnv
+from mjris.envs.sb3_vec import OfficeVecEnv
 from mjris.eval.optimum import best_known
 from mjris.learn.agent import build_agent, hidden_layers
 from mjris.learn.run import train
@@ -29,8 +30,8 @@ from mjris.radio.channel import Channels, effective_channel
 from mjris.radio.control import qos_first_powers
 from mjris.show.rollout import record
 from mjris.show.video import write_video
-from mjris.simulator import Simulator
-from mjris.task import Task
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.task import Task
 from mjris.world.office import GROUP_BLOCKERS
 
 CELLS = 64

@@ -17,7 +17,7 @@ from reference_table import Judged, Study, command, finish, markdown_table, numb
 from rich.progress import Progress
 
 from mjris.eval.intervals import gain_percent
-from mjris.streams import Purpose, generator
+from mjris.simulation.streams import Purpose, generator
 
 PANELS = tuple(itertools.product(("isotropic", "cosine"), ("auto", "locked")))
 """Element pattern and pan."""

@@ -30,10 +30,10 @@ from mjris.eval.optimum import best_known
 from mjris.eval.planner import best_places
 from mjris.eval.policies import parked, planned
 from mjris.eval.powers import best_powers
+from mjris.planning.radio_map import penalised
 from mjris.radio.channel import Channels
-from mjris.radiomap import penalised
-from mjris.simulator import Simulator
-from mjris.streams import CellId, Purpose, generator
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import CellId, Purpose, generator
 
 FloatArray = NDArray[np.floating]
 T = TypeVar("T", bound="Scenes")

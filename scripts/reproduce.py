@@ -28,7 +28,7 @@ from reproduction.sensitivity import draw_sensitivity
 from reproduction.sensitivity import measure as measure_sensitivity
 
 from mjris.config import ConfigError
-from mjris.streams import Purpose, generator
+from mjris.simulation.streams import Purpose, generator
 
 Name = Literal[
     "path",

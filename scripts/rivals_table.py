@@ -19,7 +19,7 @@ from mjris.eval import parking
 from mjris.eval.intervals import gain_percent
 from mjris.eval.playing import Played, play
 from mjris.eval.policies import Policy, fixed_ris, reference_controls, reference_oma
-from mjris.streams import Purpose, generator
+from mjris.simulation.streams import Purpose, generator
 
 
 def main(study: Scenes) -> None:

@@ -103,7 +103,7 @@ def stepped(config: Config) -> dict[str, NDArray[np.floating]]:
     kept: dict[str, list[Any]] = {name: [] for name in ("observation", "reward", "rates", "bare", "blockers")}
     kept["observation"].append(env.reset())
     for _ in range(SLOTS):
-        env.step_async(rng.uniform(-1, 1, (CELLS, env.action_space.shape[0])))  # pyright: ignore[reportOptionalSubscript]
+        env.step_async(rng.uniform(-1, 1, (CELLS, env.action_space.shape[0])))  # pyright: ignore
         observation, reward, _, infos = env.step_wait()
         kept["observation"].append(observation)
         kept["reward"].append(reward)

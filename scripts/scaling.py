@@ -20,7 +20,7 @@ import measures
 
 from mjris.config import Config, preset
 from mjris.cores import CORES
-from mjris.env import OfficeVecEnv
+from mjris.envs.sb3_vec import OfficeVecEnv
 
 CELLS = (1, 4, 16, 64, 256)
 _SLOTS = 50

@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import settings
 
-from mjris import streams
+from mjris.simulation import streams
 
 # A first example waits for the compiler; how fast things are is for scripts/bench.py to say.
 settings.register_profile("mjris", deadline=None)

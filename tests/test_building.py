@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mjris.config import ConfigError, preset
 from mjris.eval.building import band_plan, leakage_table, leakage_w, storey_height_m
 from mjris.eval.floormap import floor_map
-from mjris.simulator import Simulator
+from mjris.simulation.simulator import Simulator
 
 OFFICE = preset("office")
 FOUR_FLOORS = replace(OFFICE, federation=replace(OFFICE.federation, num_cells=4))

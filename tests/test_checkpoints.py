@@ -7,7 +7,7 @@ from mjris.config import preset
 from mjris.eval.checkpoints import common_rounds, judge, spread
 from mjris.eval.playing import play
 from mjris.eval.policies import agent_policies
-from mjris.task import Task
+from mjris.simulation.task import Task
 
 SCENES, SEED = 2, 5
 

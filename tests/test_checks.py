@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mjris.checks import checked
+from mjris.simulation.checks import checked
 
 
 def test_what_is_right_comes_back_as_float64():

@@ -7,11 +7,11 @@ import time
 
 import numba
 
-from mjris.compiled import _cache_dir, _remove_unused
+from mjris.jit.compiled import _cache_dir, _remove_unused
 
 BEHIND_THE_END = """
 import numpy as np
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 
 @compiled
 def at(numbers, index):

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, Radio, World
-from mjris.constraints import NAMES, ascending, evaluate, within_budget, within_room
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.radio import access
-from mjris.simulator import Simulator
+from mjris.simulation.constraints import NAMES, ascending, evaluate, within_budget, within_room
+from mjris.simulation.simulator import Simulator
 
 CLUSTERS = np.array([[0, 1], [2, 3]])
 

@@ -16,7 +16,7 @@ from mjris.show.curves import (
     track_phases,
     training_gain,
 )
-from mjris.task import Task
+from mjris.simulation.task import Task
 
 TABLE = pd.DataFrame(
     {

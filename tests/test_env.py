@@ -12,11 +12,12 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import mjris
 from mjris.config import Config, ConfigError, preset
-from mjris.env import OfficeEnv, OfficeVecEnv
+from mjris.envs.gym_env import OfficeEnv
+from mjris.envs.sb3_vec import OfficeVecEnv
+from mjris.planning.radio_map import bare_values, best_goals, place_values
 from mjris.radio import alignment, serving
-from mjris.radiomap import bare_values, best_goals, place_values
-from mjris.streams import CellId
-from mjris.task import Task
+from mjris.simulation.streams import CellId
+from mjris.simulation.task import Task
 
 INFO = {
     "rates_bps",

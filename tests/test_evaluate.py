@@ -17,9 +17,9 @@ from mjris.eval.playing import play
 from mjris.eval.policies import agent_policies, no_ris, planned, planner, reference_controls
 from mjris.eval.powers import best_powers
 from mjris.eval.tables import print_comparison
-from mjris.simulator import Simulator
-from mjris.streams import Purpose, generator
-from mjris.task import Task as Agents
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import Purpose, generator
+from mjris.simulation.task import Task as Agents
 
 SCENES, SLOTS, SEED = 4, 3, 5
 POLICIES = [

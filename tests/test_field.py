@@ -5,8 +5,8 @@ import pytest
 
 from mjris.config import preset
 from mjris.show.field import motion_field, plot_motion_field, reachable_places
-from mjris.simulator import Simulator
-from mjris.task import Task
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.task import Task
 from mjris.world.office import PERSON_RADIUS_M
 
 SEED = 5

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, ConfigError, Radio, World, from_dict
-from mjris.simulator import Simulator
+from mjris.simulation.simulator import Simulator
 from mjris.world.fit import check_fit, kept_distance
 from mjris.world.layout import AccessPoint, Brick, Layout, Obstacle, Room, load_layout
 

@@ -6,9 +6,9 @@ import pytest
 
 from mjris.config import ConfigError, preset
 from mjris.eval.floormap import FloorMap, floor_map
-from mjris.radio import prediction
-from mjris.radiomap import place_values
-from mjris.simulator import Simulator
+from mjris.planning import prediction
+from mjris.planning.radio_map import place_values
+from mjris.simulation.simulator import Simulator
 
 ROOM = """
 room.size = [6.0, 8.0, 3.0]

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, Radio, World
-from mjris.simulator import Simulator
-from mjris.streams import CellId
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import CellId
 from mjris.world.fit import check_fit, kept_distance
 from mjris.world.jitter import jittered
 from mjris.world.layout import layout_names, load_layout

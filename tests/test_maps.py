@@ -17,7 +17,7 @@ from mjris.cli import main
 from mjris.config import ConfigError, preset
 from mjris.eval.floormap import floor_map
 from mjris.show.maps import FIELDS, draw_field, draw_office, write_maps
-from mjris.simulator import Simulator
+from mjris.simulation.simulator import Simulator
 
 CONFIG = preset("office")
 COARSE = ["--resolution-m", "1", "--place-resolution-m", "1"]

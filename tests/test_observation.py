@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, preset
-from mjris.radiomap import best_goals, place_values
-from mjris.task import Task
+from mjris.planning.radio_map import best_goals, place_values
+from mjris.simulation.task import Task
 
 
 def kinematic(name: str, scheme: str = "noma", **world) -> Config:

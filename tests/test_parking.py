@@ -9,10 +9,10 @@ from mjris.config import Config, preset
 from mjris.eval.parking import Spot, best_spot, parked_at, promising, search_seed
 from mjris.eval.playing import independent
 from mjris.eval.policies import fixed_ris
-from mjris.radiomap import penalised
-from mjris.simulator import Simulator
-from mjris.streams import CellId
-from mjris.task import Task
+from mjris.planning.radio_map import penalised
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import CellId
+from mjris.simulation.task import Task
 
 ROOM = """
 room.size = [5.0, 6.0, 3.0]

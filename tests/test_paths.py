@@ -6,10 +6,10 @@ import pytest
 
 from mjris.config import Config, ConfigError
 from mjris.config import World as WorldConfig
+from mjris.planning.paths import Paths
+from mjris.planning.wayfinding import last_nodes
 from mjris.world.footprints import Footprints
 from mjris.world.layout import layout_names, load_layout
-from mjris.world.paths import Paths
-from mjris.world.wayfinding import last_nodes
 from mjris.world.world import World
 
 WALLS = [(-0.1, 3, 0.1, 3), (8.1, 3, 0.1, 3), (4, -0.1, 4, 0.1), (4, 6.1, 4, 0.1)]
@@ -180,7 +180,7 @@ def assert_arrives(made: World, start: np.ndarray, goal: np.ndarray) -> None:
 
 def test_a_large_room_gets_a_wider_grid(monkeypatch):
     fine = paths(WALLS)
-    monkeypatch.setattr("mjris.world.paths._MOST_NODES", 48)
+    monkeypatch.setattr("mjris.planning.paths._MOST_NODES", 48)
     wide = paths(WALLS)
     assert len(fine.nodes) == 15 * 11
     # One metre apart.

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.config import Config, World
-from mjris.simulator import Simulator
+from mjris.simulation.simulator import Simulator
 from mjris.world.layout import load_layout
 from mjris.world.office import PERSON_RADIUS_M
 from mjris.world.people import segment_distance

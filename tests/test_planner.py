@@ -8,9 +8,9 @@ import pytest
 from mjris.config import Config, preset
 from mjris.eval.planner import best_places
 from mjris.eval.policies import planned
-from mjris.radiomap import best_goals, node_values, place_values
-from mjris.simulator import Simulator
-from mjris.world.wayfinding import first_nodes, last_nodes, next_node, shortest
+from mjris.planning.radio_map import best_goals, node_values, place_values
+from mjris.planning.wayfinding import first_nodes, last_nodes, next_node, shortest
+from mjris.simulation.simulator import Simulator
 
 CELLS = 3
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from mjris.config import preset
+from mjris.planning.prediction import predicted_rates
 from mjris.radio.access import cluster_beams
-from mjris.radio.prediction import predicted_rates
 from mjris.radio.propagation import complex_normal
 
 RADIO = preset("office").radio

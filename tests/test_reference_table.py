@@ -10,8 +10,8 @@ import pytest
 from mjris.config import ConfigError, preset
 from mjris.eval.planner import best_places
 from mjris.eval.policies import parked, planned
-from mjris.radiomap import place_values
-from mjris.simulator import Simulator
+from mjris.planning.radio_map import place_values
+from mjris.simulation.simulator import Simulator
 
 
 def load_script(name: str):

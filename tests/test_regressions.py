@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, Radio, World, preset
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.radio import channel
-from mjris.simulator import Simulator
-from mjris.task import Task
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.task import Task
 
 SCHEMES = ["noma", "oma"]
 

@@ -18,7 +18,7 @@ from mjris.show.palette import BLOCKED, CLEAR, USERS, rgb, user_colour
 from mjris.show.rollout import record
 from mjris.show.trajectory import plot_trajectory, shadow
 from mjris.show.video import link_lines, snapshot, write_video
-from mjris.task import Task
+from mjris.simulation.task import Task
 
 CONFIG = preset("office")
 SLOTS = 3

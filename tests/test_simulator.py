@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, Radio, Task, World
+from mjris.planning.radio_map import penalised
 from mjris.radio import access, serving
-from mjris.radiomap import penalised
-from mjris.scene import Slot
-from mjris.simulator import Simulator
-from mjris.streams import first_cells
+from mjris.simulation.scene import Slot
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import first_cells
 
 
 def config(drive: str = "kinematic", task: Task | None = None, layout: str = "office", **radio) -> Config:

@@ -12,7 +12,7 @@ from torch import nn
 from toy import BrokenToyEnv, EndingToyEnv, ToyEnv, toy_config
 
 from mjris.config import Config, ConfigError, preset
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.learn.agent import DecayingOUNoise, build_agent
 from mjris.learn.descent import _recall, _recall_outcomes
 from mjris.learn.federation import Cell, average

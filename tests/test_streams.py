@@ -5,9 +5,10 @@ import gymnasium
 import numpy as np
 import pytest
 
-from mjris import make_vec, streams
+from mjris import make_vec
 from mjris.config import Config, ConfigError, preset
-from mjris.streams import Purpose, generator, seeded, word
+from mjris.simulation import streams
+from mjris.simulation.streams import Purpose, generator, seeded, word
 
 
 def test_all_streams_of_a_run_begin_in_other_states():

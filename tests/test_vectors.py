@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjris import vectors
+from mjris.jit import vectors
 
 EPS = np.finfo(float).eps
 

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
+from mjris.planning.paths import Paths
+from mjris.planning.wayfinding import first_nodes, last_nodes, next_node, shortest
 from mjris.world.footprints import Footprints
-from mjris.world.paths import Paths
-from mjris.world.wayfinding import first_nodes, last_nodes, next_node, shortest
 
 KEEP_M = 0.4
 WALLS = [(-0.1, 3, 0.1, 3), (8.1, 3, 0.1, 3), (4, -0.1, 4, 0.1), (4, 6.1, 4, 0.1)]

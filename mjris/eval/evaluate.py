@@ -7,12 +7,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError
-from mjris.constraints import NAMES
 from mjris.eval import parking
 from mjris.eval.intervals import gain_percent, interval
 from mjris.eval.playing import Played, play
 from mjris.eval.policies import Act, agent_policies, fixed_ris, no_ris, planner, reference_controls, reference_oma
-from mjris.streams import Purpose, generator
+from mjris.simulation.constraints import NAMES
+from mjris.simulation.streams import Purpose, generator
 
 FloatArray = NDArray[np.floating]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError, Radio
+from mjris.planning.radio_map import bare_values, place_values
 from mjris.radio import channel, propagation
-from mjris.radiomap import bare_values, place_values
-from mjris.simulator import Simulator
+from mjris.simulation.simulator import Simulator
 from mjris.world.footprints import Footprints, footprints
 from mjris.world.office import HULL_FLOOR_GAP_M, PERSON_HEIGHT_M, Office, hull_height, hull_radius
 
@@ -155,7 +155,7 @@ def _cascade_gain(simulator: Simulator, receivers: FloatArray, ris_xy: FloatArra
 
 
 def _place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
-    """`radiomap.place_values` of places [..., 2] [m] where the rover can stand, NaN at others [...] [bit/s]."""
+    """`place_values` of places [..., 2] [m] where the rover can stand, NaN at others [...] [bit/s]."""
     config = simulator.config
     free = _hull_room_m(config, simulator.world.office(0), places) >= config.world.bumper_m
     values = np.full(free.shape, np.nan)

@@ -8,9 +8,9 @@ import numpy as np
 from mjris.config import Config
 from mjris.eval.playing import independent, play
 from mjris.eval.policies import Policy, fixed_ris
-from mjris.radiomap import node_values
-from mjris.simulator import Simulator
-from mjris.streams import CellId, Purpose, word
+from mjris.planning.radio_map import node_values
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import CellId, Purpose, word
 
 NAME = "best-placed fixed RIS"
 

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.radiomap import node_values, place_values
-from mjris.simulator import Simulator
+from mjris.planning.radio_map import node_values, place_values
+from mjris.simulation.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
 

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.constraints import NAMES
 from mjris.eval import fairness
 from mjris.eval.bound import upper_bound
 from mjris.eval.policies import Policy
 from mjris.eval.powers import best_powers
-from mjris.radiomap import penalised
-from mjris.streams import CellId
-from mjris.task import Task
+from mjris.planning.radio_map import penalised
+from mjris.simulation.constraints import NAMES
+from mjris.simulation.streams import CellId
+from mjris.simulation.task import Task
 
 FloatArray = NDArray[np.floating]
 

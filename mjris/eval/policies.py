@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from mjris.config import Config
 from mjris.eval.optimum import best_known
 from mjris.eval.powers import best_powers
+from mjris.planning.radio_map import best_goals
 from mjris.radio.channel import Channels
-from mjris.radiomap import best_goals
-from mjris.scene import Controls
-from mjris.simulator import Simulator
-from mjris.streams import Purpose, generator
-from mjris.task import Task
+from mjris.simulation.scene import Controls
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import Purpose, generator
+from mjris.simulation.task import Task
 
 FloatArray = NDArray[np.floating]
 

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mjris.constraints import NAMES
+from mjris.simulation.constraints import NAMES
 
 
 def print_comparison(console: Console, table: pd.DataFrame) -> None:

@@ -5,7 +5,7 @@ All that one agent's pass works on then stays in the cache.
 
 import numpy as np
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 from mjris.learn.networks import Networks, Pass, Values, bias_of, scale_of, shift_of, slope, weight_of
 from mjris.learn.products import product
 

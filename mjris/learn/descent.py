@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from stable_baselines3 import DDPG
 from torch import nn
 
-from mjris import vectors
-from mjris.compiled import compiled
+from mjris.jit import vectors
+from mjris.jit.compiled import compiled
 from mjris.learn.compiled_layers import backward, forward, through
 from mjris.learn.networks import Networks, Pass, Values, fits, slope
 

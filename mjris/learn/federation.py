@@ -16,7 +16,7 @@ from stable_baselines3.common.logger import Logger, configure
 from mjris.config import Config
 from mjris.learn.agent import build_agent, weights_seed
 from mjris.learn.divergence import DivergenceCheck, non_finite
-from mjris.streams import Purpose, generator, word
+from mjris.simulation.streams import Purpose, generator, word
 
 P = TypeVar("P")
 R = TypeVar("R")

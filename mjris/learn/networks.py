@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 from mjris.learn.layers import StackedNetwork
 
 Values = NDArray[np.float32]

@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 from stable_baselines3 import DDPG
 
 from mjris.config import Config, ConfigError, load
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.learn.agent import build_agent
 from mjris.learn.federation import EnvFactory
 from mjris.learn.provenance import PROVENANCE

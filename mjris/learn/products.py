@@ -9,7 +9,7 @@ from llvmlite import binding
 from numba import types
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 
 Matrix = NDArray[np.float32]
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from mjris.config import Config, ConfigError
 from mjris.cores import CORES
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics, State, average, num_rounds
 from mjris.learn.provenance import write_provenance
 from mjris.learn.spread import in_words, num_stacks, open_runs
 from mjris.learn.stacked import Results, members_of
 from mjris.learn.workers import check_device, describe, open_cells
-from mjris.streams import seeded
+from mjris.simulation.streams import seeded
 
 Report = Callable[[list[EpisodeMetrics]], None]
 """Is called after every round with the metrics of its episodes."""

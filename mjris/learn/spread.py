@@ -7,7 +7,7 @@ import numpy as np
 
 from mjris.config import Config
 from mjris.cores import CORES
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.learn.federation import EnvFactory, State
 from mjris.learn.remote import Remotes
 from mjris.learn.stacked import Results, StackedRuns, members_of

@@ -16,7 +16,8 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from mjris.config import Config, ConfigError
-from mjris.env import OfficeEnv, OfficeVecEnv
+from mjris.envs.gym_env import OfficeEnv
+from mjris.envs.sb3_vec import OfficeVecEnv
 from mjris.learn.agent import DecayingOUNoise
 from mjris.learn.divergence import diverged
 from mjris.learn.federation import (
@@ -33,7 +34,7 @@ from mjris.learn.federation import (
 )
 from mjris.learn.replay import ReplayMemory
 from mjris.learn.stack import StackedDDPG
-from mjris.streams import CellId
+from mjris.simulation.streams import CellId
 
 FloatArray = NDArray[np.floating]
 Results = Sequence[tuple[State, list[EpisodeMetrics]]]

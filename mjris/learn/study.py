@@ -13,7 +13,7 @@ from typing import Any
 
 from mjris.config import Config
 from mjris.cores import CORES
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics
 from mjris.learn.run import train_many
 

@@ -10,7 +10,7 @@ import torch
 
 from mjris.config import Config, ConfigError
 from mjris.cores import CORES
-from mjris.env import OfficeEnv
+from mjris.envs.gym_env import OfficeEnv
 from mjris.learn.federation import Cell, EnvFactory, State
 from mjris.learn.remote import Remotes
 from mjris.learn.spread import StackedCells, in_words, num_stacks

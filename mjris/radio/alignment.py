@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 from mjris.radio.beams import strength
 from mjris.radio.channel import Channels
 from mjris.radio.decoding import ascending

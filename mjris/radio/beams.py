@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 from mjris.radio.access import REGULAR, SINGULAR
 
 ComplexArray = NDArray[np.complexfloating]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]

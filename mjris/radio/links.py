@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris import vectors
-from mjris.compiled import compiled, inlined
 from mjris.config import Radio
+from mjris.jit import vectors
+from mjris.jit.compiled import compiled, inlined
 from mjris.radio.channel import Channels
 
 FloatArray = NDArray[np.floating]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
 from mjris.config import Radio
+from mjris.jit.compiled import compiled
 from mjris.radio.beams import band_beams, cluster_beams, received
 from mjris.radio.decoding import ascending, cancelled, decodable, needed_share, qos_first
 

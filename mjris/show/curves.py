@@ -20,8 +20,8 @@ from mjris.eval.intervals import gain_percent, interval
 from mjris.eval.playing import independent
 from mjris.eval.policies import Act, agent_policies
 from mjris.show.palette import RANDOM, RIVALS, STOPS
-from mjris.streams import Purpose, generator
-from mjris.task import Task
+from mjris.simulation.streams import Purpose, generator
+from mjris.simulation.task import Task
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.integer]

@@ -18,9 +18,9 @@ from mjris.eval.playing import independent
 from mjris.eval.policies import Act, agent_policies
 from mjris.show.maps import draw_furniture
 from mjris.show.palette import user_colour
-from mjris.simulator import Simulator
-from mjris.streams import CellId
-from mjris.task import Task
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import CellId
+from mjris.simulation.task import Task
 from mjris.world.office import Office
 from mjris.world.world import World
 

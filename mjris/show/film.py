@@ -10,7 +10,7 @@ from mjris.config import Config
 from mjris.show.rollout import Act, record
 from mjris.show.trajectory import plot_trajectory
 from mjris.show.video import snapshot, write_video
-from mjris.task import Task
+from mjris.simulation.task import Task
 
 
 def film(config: Config, act: Act, folder: Path, slots: int, seed: int) -> None:

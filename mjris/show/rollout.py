@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.task import Task
+from mjris.simulation.task import Task
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]

@@ -11,8 +11,8 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
 from mjris.config import World
+from mjris.jit.compiled import compiled
 from mjris.world.footprints import Footprints, Rectangles, gap, toward
 from mjris.world.office import PERSON_RADIUS_M, Office
 from mjris.world.people import Crowd, Walkers, walk

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 from mjris.world.office import GROUP_BLOCKERS, GROUP_WALLS, Office
 
 FloatArray = NDArray[np.floating]

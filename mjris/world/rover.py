@@ -13,8 +13,8 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
 from mjris.config import World
+from mjris.jit.compiled import compiled
 from mjris.world.footprints import Footprints, Rectangles, gap
 from mjris.world.office import PERSON_RADIUS_M, Office, feeler_reach, hull_radius
 from mjris.world.people import Crowd

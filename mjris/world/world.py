@@ -8,6 +8,8 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from mjris.config import Config
+from mjris.planning.paths import Paths
+from mjris.planning.sight_map import SightMap
 from mjris.world.drives import make_fleet
 from mjris.world.fit import WAY_MARGIN_M, check_fit, kept_distance, rover_start
 from mjris.world.footprints import footprints
@@ -22,12 +24,10 @@ from mjris.world.office import (
     hull_height,
     hull_radius,
 )
-from mjris.world.paths import Paths
 from mjris.world.people import Crowd
 from mjris.world.placement import Placement
 from mjris.world.rover import Motion
 from mjris.world.sight import Sight
-from mjris.world.sightmap import SightMap
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]

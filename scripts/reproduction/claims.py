@@ -12,7 +12,7 @@ from reference_table import markdown_table, number
 
 from mjris.config import preset
 from mjris.eval.intervals import gain_percent, interval
-from mjris.streams import Purpose, generator
+from mjris.simulation.streams import Purpose, generator
 from reproduction.curves import BASE, FIXED, PARKED, PRESETS, SELECTING, TURNING
 from reproduction.results import BOUND, PLANNER, SCENE_SEED
 

@@ -15,8 +15,8 @@ from mjris.eval.floormap import FloorMap, floor_map
 from mjris.learn.policy import load_policy, without_noise
 from mjris.show.rollout import Rollout, record
 from mjris.show.trajectory import HEIGHTS_LABEL, draw_trajectory
-from mjris.streams import CellId
-from mjris.task import Task
+from mjris.simulation.streams import CellId
+from mjris.simulation.task import Task
 from reproduction.curves import PRESETS, Scale, base
 from reproduction.drawing import STYLE, WIDTH_IN
 from reproduction.results import SCENE_SEED

@@ -13,7 +13,7 @@ from reference_table import Study, driving, markdown_table, number, spread
 
 from mjris.config import Config
 from mjris.learn.study import run_folder
-from mjris.streams import Purpose, generator
+from mjris.simulation.streams import Purpose, generator
 from reproduction.curves import PARKED, Curve, Scale
 
 SCENE_SEED = 10_000

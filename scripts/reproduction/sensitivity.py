@@ -18,7 +18,7 @@ from mjris.config import Config
 from mjris.eval.intervals import gain_percent
 from mjris.eval.playing import play
 from mjris.eval.policies import reference_controls
-from mjris.streams import Purpose, generator
+from mjris.simulation.streams import Purpose, generator
 from reproduction.curves import Scale, base
 from reproduction.drawing import STYLE, WIDTH_IN
 from reproduction.results import SCENE_SEED

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
 from mjris.config import Config
+from mjris.jit.compiled import compiled
 from mjris.radio import access
 
 FloatArray = NDArray[np.floating]

@@ -5,10 +5,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
+from mjris.planning.radio_map import place_values
 from mjris.radio.channel import Channels
-from mjris.radiomap import place_values
-from mjris.simulator import Simulator
+from mjris.simulation.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]

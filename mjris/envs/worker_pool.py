@@ -10,12 +10,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.board import Board
 from mjris.config import Config
-from mjris.constraints import Constraints
-from mjris.scene import Slot
-from mjris.streams import CellId
-from mjris.task import Task
+from mjris.envs.shared_arrays import Board
+from mjris.simulation.constraints import Constraints
+from mjris.simulation.scene import Slot
+from mjris.simulation.streams import CellId
+from mjris.simulation.task import Task
 
 _AWAKE_S = 2e-3
 """How long a process looks for a message before it sleeps: to be woken takes it as long as several cells take."""

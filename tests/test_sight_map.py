@@ -5,8 +5,8 @@ import pytest
 
 from mjris.config import Config
 from mjris.config import World as WorldConfig
+from mjris.planning.sight_map import Grid, square
 from mjris.world.layout import load_layout
-from mjris.world.sightmap import Grid, square
 from mjris.world.world import World
 
 

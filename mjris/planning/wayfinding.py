@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 from mjris.world.footprints import Rectangles, gap, is_free, near
 
 FloatArray = NDArray[np.floating]

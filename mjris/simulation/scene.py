@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.constraints import Constraints
 from mjris.radio import channel
+from mjris.simulation.constraints import Constraints
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]

@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
-from mjris.radio import links, prediction, propagation
+from mjris.jit.compiled import compiled
+from mjris.planning import prediction
+from mjris.planning.sight_map import Grid, square
+from mjris.radio import links, propagation
 from mjris.radio.serving import System
-from mjris.simulator import Simulator
-from mjris.world.sightmap import Grid, square
+from mjris.simulation.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]

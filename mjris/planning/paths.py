@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
 from mjris.config import ConfigError
-from mjris.world import wayfinding
+from mjris.jit.compiled import compiled
+from mjris.planning import wayfinding
 from mjris.world.footprints import Footprints
 
 FloatArray = NDArray[np.floating]

@@ -47,7 +47,7 @@ def _compiled(function: F, forceinline: bool) -> F:
 @cache
 def _cache_dir(wanted: str) -> Path:
     """Where results are kept for this state of the package's sources: where Numba was told to, or with the package."""
-    package = Path(__file__).parent
+    package = Path(__file__).parent.parent
     stats = [(str(path.relative_to(package)), path.stat()) for path in sorted(package.rglob("*.py"))]
     # With and without NUMBA_BOUNDSCHECK=1, which has indices checked, the same source gives different results.
     checked = bool(numba.config.BOUNDSCHECK)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.compiled import compiled
+from mjris.jit.compiled import compiled
 from mjris.world.sight import Sight
 
 FloatArray = NDArray[np.floating]

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris import observation
-from mjris.checks import checked
 from mjris.config import Config
+from mjris.planning.radio_map import bare_values, best_goals, penalised, place_values
 from mjris.radio.channel import Channels
-from mjris.radiomap import bare_values, best_goals, penalised, place_values
-from mjris.scene import Controls, Scene, Slot
-from mjris.simulator import Simulator
-from mjris.streams import CellId
+from mjris.simulation import observation
+from mjris.simulation.checks import checked
+from mjris.simulation.scene import Controls, Scene, Slot
+from mjris.simulation.simulator import Simulator
+from mjris.simulation.streams import CellId
 
 FloatArray = NDArray[np.floating]
 

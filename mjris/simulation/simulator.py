@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.checks import checked
-from mjris.compiled import compiled
 from mjris.config import Config
-from mjris.constraints import evaluate
+from mjris.jit.compiled import compiled
 from mjris.radio import access, alignment, channel, links, propagation, serving
-from mjris.scene import Retune, Scene, Slot
-from mjris.streams import CellId, Streams, first_cells
+from mjris.simulation.checks import checked
+from mjris.simulation.constraints import evaluate
+from mjris.simulation.scene import Retune, Scene, Slot
+from mjris.simulation.streams import CellId, Streams, first_cells
 from mjris.world.layout import load_layout
 from mjris.world.world import World
 

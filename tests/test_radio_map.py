@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from mjris.config import preset
-from mjris.radiomap import _floor, _link_gains, bare_values, best_goals, node_values, penalised, place_values
-from mjris.simulator import Simulator
+from mjris.planning.radio_map import _floor, _link_gains, bare_values, best_goals, node_values, penalised, place_values
+from mjris.simulation.simulator import Simulator
 
 OFFICE = preset("office")
 

@@ -5,7 +5,7 @@ from multiprocessing.shared_memory import SharedMemory
 import numpy as np
 import pytest
 
-from mjris.board import Board
+from mjris.envs.shared_arrays import Board
 
 ARRAYS = [np.arange(6.0).reshape(2, 3), np.array([True, False, True]), np.zeros((0, 4)), np.array([1.5], np.float32)]
 

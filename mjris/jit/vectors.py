@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from mjris.compiled import inlined
+from mjris.jit.compiled import inlined
 
 _LN2_HIGH = 0.6931471803691238
 """ln 2 to 33 bits, so that its products with whole numbers are exact."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris import vectors
-from mjris.compiled import compiled
 from mjris.config import Radio
+from mjris.jit import vectors
+from mjris.jit.compiled import compiled
 from mjris.radio.decoding import ascending, needed_share
 from mjris.radio.serving import System
 

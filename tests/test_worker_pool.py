@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from mjris.config import preset
-from mjris.parallel import Part, SpreadTask
-from mjris.streams import CellId
+from mjris.envs.worker_pool import Part, SpreadTask
+from mjris.simulation.streams import CellId
 
 CELLS = [CellId(3, cell) for cell in range(3)]
 
