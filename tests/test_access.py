@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mjris.radio.access import decoding_order, noma_rates, oma_rates, zero_forcing
 from mjris.radio.channel import Channels, effective_channel, ris_response
-from mjris.radio.propagation import complex_normal
+from mjris.radio.fading import complex_normal
 
 BANDWIDTH = 1e6
 NOISE = 1e-3

@@ -13,7 +13,7 @@ from mjris.eval.optimum import best_known
 from mjris.radio.access import noma_rates, oma_rates
 from mjris.radio.channel import Channels, effective_channel, ris_response
 from mjris.radio.control import split_powers
-from mjris.radio.propagation import complex_normal
+from mjris.radio.fading import complex_normal
 
 SEEDS = st.integers(0, 2**32 - 1)
 SCHEMES = st.sampled_from(["noma", "oma"])

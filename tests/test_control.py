@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mjris.radio.access import decoding_order, noma_rates
 from mjris.radio.channel import Channels, effective_channel, ris_response
 from mjris.radio.control import aligned_phases, qos_first_powers, split_powers
-from mjris.radio.propagation import complex_normal
+from mjris.radio.fading import complex_normal
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.radio.control import qos_first_split
-from mjris.radio.decoding import ascending, cancelled, decodable, needed_share, qos_first
+from mjris.radio.decoding import ascending, cancelled, decodable, qos_first
+from mjris.radio.equations import needed_share
 
 SEEDS = st.integers(0, 2**32 - 1)
 BANDWIDTH_HZ = 2.0

@@ -1,84 +1,151 @@
+"""Which links there are, and the channels over them, against plain loops over numbers."""
+
+import cmath
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.config import Radio
-from mjris.radio import channel, links
-from mjris.radio.channel import phase_ramp
-from mjris.radio.links import Means, channels
-from mjris.radio.propagation import complex_normal, db_to_linear, path_loss_db, rician
+from mjris.radio import links
+from mjris.radio.fading import complex_normal
+from mjris.radio.links import Links, Means
+from mjris.radio.tables import LinkTable
+
+SHAPES = st.sampled_from(
+    [(1, 1, 1, ((1, 1),)), (2, 4, 4, ((4, 4),)), (3, 2, 3, ((1, 5), (2, 2))), (1, 3, 2, ((2, 1),) * 3)]
+)
+"""Cells, users, antennas, rows and columns of every panel."""
+WAVELENGTH = 0.15
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([(1, 1, 1, 1), (2, 4, 4, 16), (3, 2, 3, 5)]))
-def test_channels_are_those_of_the_array_functions(seed, shape):
-    cells, users, antennas, elements = shape
-    rng = np.random.default_rng(seed)
-    ap, people, panel = (rng.uniform(-5, 5, (cells, count, 3)) for count in (antennas, users, elements))
-    amplitude = rng.uniform(1e-5, 1e-2, (cells, 2 * users + 1))
-    k_factor = np.where(rng.random(amplitude.shape) < 0.5, 0.0, rng.uniform(0, 100, amplitude.shape))
-    sizes = users * antennas, elements * antennas, users * elements
-    diffuse = complex_normal(rng, (cells, sum(sizes)))
-    made = channels(ap, people, panel, Means(amplitude, amplitude, k_factor), diffuse, 0.15)
-    parts = np.split(diffuse, np.cumsum(sizes)[:2], axis=1)
-    for found, ends, starts, part, own in (
-        (made.direct, people, ap, parts[0], slice(0, users)),
-        (made.incident, panel, ap, parts[1], slice(2 * users, None)),
-        (made.reflected, people, panel, parts[2], slice(users, 2 * users)),
-    ):
-        los = phase_ramp(ends, starts, 0.15)
-        factor, scale = k_factor[:, own, None], amplitude[:, own, None]
-        expected = scale * rician(los, part.reshape(los.shape), factor)
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+def test_links_are_users_panels_with_users_and_panels():
+    made = Links(2, 3)
+    assert (made.direct, made.reflected, made.incident) == (slice(0, 2), slice(2, 8), slice(8, 11))
+    assert made.person.tolist() == [0, 1, 0, 1, 0, 1, 0, 1, -1, -1, -1]
+    assert made.panel.tolist() == [-1, -1, 0, 0, 1, 1, 2, 2, 0, 1, 2]
+    direct, incident, reflected = made.split(np.arange(22.0).reshape(2, 11))
+    assert direct[1].tolist() == [11, 12]
+    assert incident[0].tolist() == [8, 9, 10]
+    assert reflected[1].tolist() == [[13, 14], [15, 16], [17, 18]]
 
 
+def test_links_end_where_everything_stands():
+    rng = np.random.default_rng(3)
+    ap, panels, receivers = rng.random((4, 3)), rng.random((4, 2, 3)), rng.random((4, 3, 3))
+    start, end = Links(3, 2).ends(ap, panels, receivers)
+    for e in range(4):
+        expected = [(receivers[e, k], ap[e]) for k in range(3)]
+        expected += [(receivers[e, k], panels[e, s]) for s in range(2) for k in range(3)]
+        expected += [(ap[e], panels[e, s]) for s in range(2)]
+        np.testing.assert_array_equal(start[e], [pair[0] for pair in expected])
+        np.testing.assert_array_equal(end[e], [pair[1] for pair in expected])
+
+
+@given(st.integers(0, 2**32 - 1), SHAPES)
+def test_every_entry_has_the_phase_of_its_own_way_and_the_gain_of_its_link(seed, shape):
+    cells, users, antennas, sizes = shape
+    rng, made, counts = np.random.default_rng(seed), Links(users, len(sizes)), [math.prod(size) for size in sizes]
+    ap, people, elements = (rng.uniform(-5, 5, (cells, count, 3)) for count in (antennas, users, sum(counts)))
+    gain = rng.uniform(1e-10, 1e-4, (cells, len(made.panel)))
+    k_factor = np.where(rng.random(gain.shape) < 0.5, 0.0, rng.uniform(0, 100, gain.shape))
+    diffuse = complex_normal(rng, (cells, users * antennas + sum(counts) * (antennas + users)))
+    found = links.channels(
+        made, ap, people, elements, np.array(counts), Means(gain, gain, k_factor), diffuse, WAVELENGTH
+    )
+    panel_of = [s for s, count in enumerate(counts) for _ in range(count)]
+    for e in range(cells):
+        left = iter(diffuse[e])
+
+        def check(entry, end, start, link, e=e, left=left):
+            assert_entry(entry, end, start, gain[e, link], k_factor[e, link], next(left))
+
+        for k in range(users):
+            for m in range(antennas):
+                check(found.direct[e, k, m], people[e, k], ap[e, m], made.direct.start + k)
+        for n, s in enumerate(panel_of):
+            for m in range(antennas):
+                check(found.incident[e, n, m], elements[e, n], ap[e, m], made.incident.start + s)
+        for k in range(users):
+            for n, s in enumerate(panel_of):
+                check(found.reflected[e, k, n], people[e, k], elements[e, n], made.reflected.start + s * users + k)
+
+
+def assert_entry(found, end, start, gain, k_factor, diffuse):
+    """Eq. (PL): Rician fading around the phase of the distance."""
+    los = cmath.exp(-2j * math.pi * math.dist(end, start) / WAVELENGTH)
+    fading = math.sqrt(k_factor / (k_factor + 1)) * los + math.sqrt(1 / (k_factor + 1)) * diffuse
+    assert found == pytest.approx(math.sqrt(gain) * fading, rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("k_factor", [0.0, 1.0, 5.0])
+def test_rician_has_unit_power_and_its_k_factor(k_factor):
+    samples, rng = 200_000, np.random.default_rng(5)
+    gain, ratio = np.ones((1, 3)), np.full((1, 3), k_factor)
+    places = np.zeros((1, 1, 3)), np.ones((1, 1, 3)), np.ones((1, samples, 3))
+    diffuse = complex_normal(rng, (1, 1 + 2 * samples))
+    made = links.channels(Links(1, 1), *places, np.array([samples]), Means(gain, gain, ratio), diffuse, WAVELENGTH)
+    fading = made.incident[0, :, 0]
+    specular, scattered = abs(np.mean(fading)) ** 2, np.var(fading)
+    assert specular + scattered == pytest.approx(1, abs=0.01)
+    assert specular / scattered == pytest.approx(k_factor, rel=0.02, abs=1e-3)
+    # Fourth moment of the Rician envelope: E|h|^4 = 1 + (2K + 1) / (K + 1)^2
+    assert np.mean(abs(fading) ** 4) == pytest.approx(1 + (2 * k_factor + 1) / (k_factor + 1) ** 2, rel=0.02)
+
+
+@pytest.mark.parametrize("table", ["paper", "inh"])
 @pytest.mark.parametrize("pattern", ["isotropic", "cosine"])
-def test_means_are_those_of_the_array_functions(pattern):
-    radio, rng = Radio(element_pattern=pattern, element_exponent=0.8, rician_k_db=5.0), np.random.default_rng(0)
-    cells, users = 50, 3
-    ap, panel = rng.uniform(0, 6, (2, cells, 3))
-    receivers, heading = rng.uniform(0, 6, (cells, users, 3)), rng.uniform(-4, 4, cells)
-    receivers[0, 0] = panel[0]  # no distance at all, hence no direction
-    start, end = links.ends(ap, panel, receivers)
-    aps, panels = (np.broadcast_to(place[:, None], receivers.shape) for place in (ap, panel))
-    np.testing.assert_array_equal(start, np.concatenate([receivers, receivers, ap[:, None]], 1))
-    np.testing.assert_array_equal(end, np.concatenate([aps, panels, panel[:, None]], 1))
-    blockers = rng.integers(0, 4, (cells, 2 * users + 1))
-    mean = links.means(links.Medium.of(radio), start, end, blockers, heading)
-    loss_db = path_loss_db(np.linalg.norm(start - end, axis=-1), blockers, radio.carrier_hz)
-    gain = db_to_linear(-loss_db)
-    normal = channel.panel_normal(heading)[:, None]
-    gain[:, users:] *= channel.element_gain(pattern, 0.8, normal, (start - end)[:, users:])
-    np.testing.assert_allclose(mean.loss_db, loss_db, rtol=1e-13)
-    np.testing.assert_allclose(mean.amplitude, np.sqrt(gain), rtol=1e-12)
-    np.testing.assert_allclose(mean.k_factor, np.where(blockers > 0, 0, 10**0.5))
+def test_means_are_path_loss_and_pattern_of_the_panel_at_the_end(table, pattern):
+    radio = Radio(link_table=table, element_pattern=pattern, element_exponent=0.8, rician_k_db=5.0)
+    rng, made, cells = np.random.default_rng(0), Links(3, 2), 20
+    ap, panels = rng.uniform(0, 6, (cells, 3)), rng.uniform(0, 6, (cells, 2, 3))
+    receivers, heading = rng.uniform(0, 6, (cells, 3, 3)), rng.uniform(-4, 4, (cells, 2))
+    receivers[0, 0] = panels[0, 0]  # no distance at all, hence no direction
+    start, end = made.ends(ap, panels, receivers)
+    obstacles = rng.integers(0, 4, start.shape[:2])
+    mean = links.means(LinkTable.of(radio), made.panel, start, end, obstacles, heading)
+    for e in range(cells):
+        for link in range(start.shape[1]):
+            d, f, n = max(1, math.dist(start[e, link], end[e, link])), 20 * math.log10(2000), obstacles[e, link]
+            if table == "paper":
+                loss = 16.9 * math.log10(d) - 27.2 + f if n == 0 else f - 28 + 25.5 * math.log10(d) + 15 + 4 * (n - 1)
+            else:
+                loss = 32.4 + 17.3 * math.log10(d) + 20 * math.log10(2)
+                loss = max(loss, (17.3 + 38.3 * math.log10(d) + 24.9 * math.log10(2)) if n > 0 else 0)
+            s, ahead = made.panel[link], 1.0
+            if s >= 0:
+                away = start[e, link] - end[e, link]
+                forward = (math.cos(heading[e, s]), math.sin(heading[e, s]), 0)
+                ahead = (forward @ away) / max(np.linalg.norm(away), 1e-12)
+            gain = 1.0
+            if s >= 0 and pattern == "cosine":
+                gain = 2 * 1.8 * ahead**0.8 if ahead > 0 else 0.0
+            assert mean.loss_db[e, link] == pytest.approx(loss, rel=1e-12)
+            assert mean.gain[e, link] == pytest.approx(gain * 10 ** (-loss / 10), rel=1e-11, abs=1e-200)
+            assert mean.k_factor[e, link] == pytest.approx(0 if n else 10**0.5)
 
 
-@pytest.mark.parametrize("pattern", ["isotropic", "cosine"])
-def test_gains_of_the_panel_are_path_loss_and_pattern(pattern):
-    radio, rng = Radio(element_pattern=pattern, element_exponent=0.8), np.random.default_rng(2)
-    medium = links.Medium.of(radio)
-    for blockers in (0, 1, 3):
-        for distance, cosine in [*rng.uniform((0.2, -0.2), (30, 1), (20, 2)), (5.0, 0.0), (5.0, 1.0)]:
-            gain = 10 ** (-path_loss_db(np.array(distance), np.array(blockers), radio.carrier_hz) / 10)
-            gain *= links.pattern_gain(medium, cosine)
-            assert links.panel_gain(medium, distance**2, blockers, cosine) == pytest.approx(gain, rel=1e-12)
+def test_linear_array_by_hand():
+    elements = links.uniform_linear_array(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 0.0]), 3, 0.5)
+    np.testing.assert_allclose(elements, [[1, 1.5, 3], [1, 2, 3], [1, 2.5, 3]])
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_the_bisector_is_in_the_middle_of_ap_and_users(seed):
-    rng = np.random.default_rng(seed)
-    receivers, places, forward = rng.uniform(0, 9, (5, 3)), rng.uniform(0, 9, (11, 2)), np.empty((2, 11))
-    places[3] = receivers[1, :2]
-    links.bisectors(receivers, *places.T.copy(), *forward)
-    for place, found in zip(places, forward.T, strict=True):
-        units = [(end - place) / max(np.linalg.norm(end - place), 1e-300) for end in receivers[:, :2]]
-        users = sum(units[:4]) / np.linalg.norm(sum(units[:4]))
-        np.testing.assert_allclose(found, users + units[4], atol=1e-9)
+def test_panels_by_hand():
+    # Facing +x, a row runs along +y, and the rows come from the bottom; facing +y, it runs along -x.
+    centres, headings = np.array([[[0.0, 0.0, 1.5], [5.0, 5.0, 2.0]]]), np.array([[0.0, np.pi / 2]])
+    elements = links.panel_elements(centres, headings, np.array([[2, 3], [1, 2]]), 0.1)
+    across, up = [-0.1, 0.0, 0.1], [1.45, 1.55]
+    first = [[0, y, z] for z in up for y in across]
+    np.testing.assert_allclose(elements[0], [*first, [5.05, 5, 2], [4.95, 5, 2]], atol=1e-15)
 
 
-def test_panel_elements_are_those_of_the_array_function():
-    rng = np.random.default_rng(1)
-    centre, heading = rng.uniform(0, 9, (5, 3)), rng.uniform(-4, 4, 5)
-    expected = channel.panel_elements(centre, heading, 3, 4, 0.07)
-    np.testing.assert_allclose(links.panel_elements(centre, heading, 3, 4, 0.07), expected, rtol=1e-14)
+@given(st.floats(-10, 10))
+def test_a_panel_is_centred_and_orthogonal_to_its_heading(heading):
+    centres, headings = np.array([[[1.0, 2.0, 1.5]], [[4.0, 0.0, 1.0]]]), np.array([[heading], [heading + 1]])
+    elements = links.panel_elements(centres, headings, np.array([[3, 4]]), 0.07)
+    assert elements.shape == (2, 12, 3)
+    np.testing.assert_allclose(elements.mean(1), centres[:, 0], atol=1e-12)
+    normal = np.stack([np.cos(headings), np.sin(headings), np.zeros_like(headings)], -1)
+    np.testing.assert_allclose(((elements - centres) * normal).sum(-1), 0, atol=1e-12)

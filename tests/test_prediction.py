@@ -7,7 +7,7 @@ import pytest
 from mjris.config import preset
 from mjris.planning.prediction import predicted_rates
 from mjris.radio.access import cluster_beams
-from mjris.radio.propagation import complex_normal
+from mjris.radio.fading import complex_normal
 
 RADIO = preset("office").radio
 CLUSTERS = np.array([[0, 1], [2, 3]])

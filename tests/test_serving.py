@@ -10,7 +10,7 @@ from mjris.radio.alignment import qos_aligned_phases
 from mjris.radio.channel import Channels, effective_channel, ris_response
 from mjris.radio.control import aligned_phases, qos_first_powers
 from mjris.radio.control import split_powers as split_by_arrays
-from mjris.radio.propagation import complex_normal
+from mjris.radio.fading import complex_normal
 from mjris.radio.serving import System, qos_or_sum, rates, split_powers
 
 CLUSTERS = np.array([[0, 3], [2, 1]])

@@ -5,10 +5,12 @@ Imports nothing of the package: all else takes its numbers from here.
 
 from mjris.config.errors import ConfigError, validated
 from mjris.config.files import from_dict, load
+from mjris.config.link_tables import LINK_TABLES
 from mjris.config.presets import preset
 from mjris.config.schema import Agent, Config, Federation, Positive, Radio, Task, World, dbm_to_w, w_to_dbm
 
 __all__ = [
+    "LINK_TABLES",
     "Agent",
     "Config",
     "ConfigError",

@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
 from mjris.config.errors import ConfigError, plain_errors
+from mjris.config.link_tables import refusal
 
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -90,10 +91,12 @@ class World:
 @plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Radio:
-    """Carrier, arrays, propagation and multiple access."""
+    """Links, arrays and multiple access."""
 
-    carrier_hz: Annotated[float, Field(ge=3e8, le=3e11)] = 2e9
-    """f_c [Hz]."""
+    link_table: str = "paper"
+    """What links cost, by the name of a published model: paper (ITU-R, as in the paper) or inh (3GPP InH-Office)."""
+    carrier_hz: Positive = 2e9
+    """f_c [Hz], where the link table holds."""
     bandwidth_hz: Positive = 1e6
     """B, the band of one cell [Hz]."""
     noise_dbm_per_mhz: Annotated[float, Field(ge=-200, le=50)] = -30.0
@@ -103,9 +106,9 @@ class Radio:
     num_antennas: Count = 4
     """M, antennas of the AP."""
     panel_rows: Count = 4
-    """Rows of reflecting elements; rows times columns is N."""
+    """Rows of reflecting elements of the rover's panel."""
     panel_cols: Count = 4
-    """Columns of reflecting elements."""
+    """Columns of reflecting elements of the rover's panel."""
     element_pattern: Literal["isotropic", "cosine"] = "cosine"
     """isotropic: the paper's; cosine: gain 2(n+1)cos^n in front of the panel, nothing behind it."""
     element_exponent: NonNegative = 0.57
@@ -128,9 +131,16 @@ class Radio:
     decoding_order: Literal["dynamic", "static"] = "dynamic"
     """dynamic: by the gains of each slot; static: by those of the episode's first slot."""
 
+    @model_validator(mode="after")
+    def _link_is_known(self) -> "Radio":
+        reason = refusal(self.link_table, self.carrier_hz)
+        if reason:
+            raise ValueError(reason)
+        return self
+
     @property
     def num_elements(self) -> int:
-        """N, reflecting elements."""
+        """N of the rover's panel."""
         return self.panel_rows * self.panel_cols
 
     @property

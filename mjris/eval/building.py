@@ -44,13 +44,13 @@ def leakage_w(
     """Mean power [A, ...] [W] that receivers [..., 3] [m] get from APs `floors_up` [A] floors up, negative for down.
 
     Those APs hang at `ap_m` [3] [m] of their own floor and send P_max with beams that know nothing of the receiver,
-    so without array gain. Each floor crossed counts as an obstacle, (PLNLOS) with L_f = 15 + 4(n - 1); furniture on the
+    so without array gain. Each floor crossed counts as an obstacle of the link table; furniture on the
     way is left out, which errs on the high side.
     """
     floors = np.asarray(floors_up).reshape(-1, *[1] * (receivers_m.ndim - 1))
     rise = floors[..., None] * storey_m * np.array([0.0, 0.0, 1.0])
     distance = np.linalg.norm(ap_m + rise - receivers_m, axis=-1)
-    loss_db = propagation.path_loss_db(distance, np.abs(floors), radio.carrier_hz)
+    loss_db = propagation.path_loss_db(distance, np.abs(floors), radio.carrier_hz, radio.link_table)
     return radio.tx_power_w * propagation.db_to_linear(-loss_db)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError, Radio
 from mjris.planning.radio_map import bare_values, place_values
-from mjris.radio import channel, propagation
+from mjris.radio import propagation
 from mjris.simulation.simulator import Simulator
 from mjris.world.footprints import Footprints, footprints
 from mjris.world.office import HULL_FLOOR_GAP_M, PERSON_HEIGHT_M, Office, hull_height, hull_radius
@@ -128,8 +128,8 @@ def links(simulator: Simulator, points: FloatArray, end: FloatArray) -> tuple[In
     """Obstacles [...] and path loss [...] [dB] between points [..., 3] and one end [3] [m], in the only cell."""
     start = points.reshape(1, -1, 3)
     count = simulator.world.sight.blockers(start, np.broadcast_to(end, start.shape)).reshape(points.shape[:-1])
-    distance = np.linalg.norm(end - points, axis=-1)
-    return count, propagation.path_loss_db(distance, count, simulator.config.radio.carrier_hz)
+    distance, radio = np.linalg.norm(end - points, axis=-1), simulator.config.radio
+    return count, propagation.path_loss_db(distance, count, radio.carrier_hz, radio.link_table)
 
 
 def rate_bps(snr: FloatArray, radio: Radio) -> FloatArray:
@@ -148,9 +148,9 @@ def _cascade_gain(simulator: Simulator, receivers: FloatArray, ris_xy: FloatArra
     panel = _at_height(ris_xy, simulator.config.world.panel_height_m)
     ends = np.concatenate([receivers.reshape(-1, 3), simulator.ap_position])
     _, loss_db = links(simulator, ends, panel)
-    normal = channel.panel_normal(heading)
-    pattern = channel.element_gain(radio.element_pattern, radio.element_exponent, normal, ends - panel)
-    gain = propagation.db_to_linear(-loss_db) * pattern
+    ahead = (ends - panel) @ np.array([np.cos(heading), np.sin(heading), 0.0])
+    cosine = ahead / np.maximum(np.linalg.norm(ends - panel, axis=-1), 1e-12)
+    gain = propagation.db_to_linear(-loss_db) * propagation.element_gain(radio, cosine)
     return (gain[-1] * gain[:-1]).reshape(receivers.shape[:-1])
 
 

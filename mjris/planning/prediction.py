@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Radio
-from mjris.jit import vectors
 from mjris.jit.compiled import compiled
-from mjris.radio.decoding import ascending, needed_share
+from mjris.radio.decoding import ascending
+from mjris.radio.equations import cancelled_sinr, needed_share, qos_power_w, rate_bps
 from mjris.radio.serving import System
 
 FloatArray = NDArray[np.floating]
@@ -126,8 +126,7 @@ def _sort(gains: FloatArray, users: IntArray) -> None:
 def _take(gains: FloatArray, needed: float, left: FloatArray, powers: FloatArray) -> None:
     """Write the powers [P] that users need over all later ones' to `powers`, where there is as much `left` [P]."""
     for p in range(len(gains)):
-        wanted = needed * (left[p] + 1 / gains[p])
-        powers[p] = wanted if wanted <= left[p] else 0.0
+        powers[p] = qos_power_w(gains[p], left[p], needed)
         left[p] -= powers[p]
 
 
@@ -135,6 +134,5 @@ def _take(gains: FloatArray, needed: float, left: FloatArray, powers: FloatArray
 def _cancel(bandwidth_hz: float, gains: FloatArray, powers: FloatArray, later: FloatArray, rates: FloatArray) -> None:
     """Write rates [P] where only the powers of `later` users [P] interfere, to which these users' are added then."""
     for p in range(len(gains)):
-        sinr = gains[p] * powers[p] / (gains[p] * later[p] + 1)
-        rates[p] = bandwidth_hz / math.log(2) * vectors.log1p(sinr)
+        rates[p] = rate_bps(bandwidth_hz, cancelled_sinr(gains[p], powers[p], later[p]))
         later[p] += powers[p]

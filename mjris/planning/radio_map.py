@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from mjris.jit.compiled import compiled
 from mjris.planning import prediction
 from mjris.planning.sight_map import Grid, square
-from mjris.radio import links, propagation
+from mjris.radio import equations, propagation
 from mjris.radio.serving import System
+from mjris.radio.tables import LinkTable
 from mjris.simulation.simulator import Simulator
+from mjris.world.facing import bisectors
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -21,7 +23,7 @@ SmallArray = NDArray[np.int8]
 class _Floor(NamedTuple):
     """What predictions for places of E cells follow from."""
 
-    medium: links.Medium
+    table: LinkTable
     system: System
     arrays: prediction.Arrays
     grid: Grid
@@ -45,7 +47,7 @@ def _floor(simulator: Simulator, heading_rad: float = math.nan) -> _Floor:
     config, world, users_xy = simulator.config, simulator.world, simulator.scene.users_xy
     receivers = np.insert(users_xy, 2, world.config.user_height_m, -1)
     return _Floor(
-        simulator.medium,
+        simulator.link_table,
         simulator.system,
         prediction.Arrays.of(config.radio),
         world.sight_map.grid,
@@ -111,7 +113,7 @@ def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArr
 
 
 def _direct_gains(simulator: Simulator) -> FloatArray:
-    return propagation.db_to_linear(-simulator.scene.path_loss_db[:, : simulator.config.world.num_users])
+    return propagation.db_to_linear(-simulator.scene.path_loss_db[:, simulator.links.direct])
 
 
 @compiled
@@ -164,7 +166,7 @@ def _link_gains(ground: _Floor, cell: int, places: FloatArray, gains: FloatArray
     forward_x, forward_y = np.empty(len(x)), np.empty(len(x))
     squares, behind = np.empty(len(x), np.int64), np.empty(len(x))
     if math.isnan(ground.heading_rad):
-        links.bisectors(ground.aims[cell], x, y, forward_x, forward_y)
+        bisectors(ground.aims[cell], x, y, forward_x, forward_y)
     else:
         forward_x[:], forward_y[:] = math.cos(ground.heading_rad), math.sin(ground.heading_rad)
     for p in range(len(x)):
@@ -172,12 +174,12 @@ def _link_gains(ground: _Floor, cell: int, places: FloatArray, gains: FloatArray
     for end in range(len(ends)):
         for p in range(len(x)):
             behind[p] = blockers[end, squares[p]]
-        _gains(ground.medium, ends[end], ground.panel_height_m, x, y, forward_x, forward_y, behind, gains[end])
+        _gains(ground.table, ends[end], ground.panel_height_m, x, y, forward_x, forward_y, behind, gains[end])
 
 
 @compiled
 def _gains(
-    medium: links.Medium,
+    table: LinkTable,
     end: FloatArray,
     panel_height_m: float,
     x: FloatArray,
@@ -194,7 +196,8 @@ def _gains(
         squared = to_x * to_x + to_y * to_y + rise * rise
         facing = forward_x[p] * forward_x[p] + forward_y[p] * forward_y[p]
         cosine = (forward_x[p] * to_x + forward_y[p] * to_y) / math.sqrt(max(squared * facing, 1e-24))
-        gains[p] = links.panel_gain(medium, squared, behind[p], cosine)
+        gain_db = equations.element_gain_db(table, cosine) - equations.path_loss_db(table, squared, behind[p])
+        gains[p] = equations.db_to_linear(gain_db)
 
 
 @compiled

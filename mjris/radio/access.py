@@ -8,8 +8,7 @@ import math
 
 from array_api_compat import device
 
-from mjris.radio.namespace import array_namespace
-from mjris.radio.propagation import Array
+from mjris.radio.namespace import Array, array_namespace
 
 SINGULAR, REGULAR = 1e-13, 1e-7
 """Channels whose matrix of inner products has a pivot below the first are taken for dependent, and have the second

@@ -13,8 +13,7 @@ from mjris.radio.access import (
     resolve_order,
 )
 from mjris.radio.channel import Channels, effective_channel
-from mjris.radio.namespace import array_namespace
-from mjris.radio.propagation import Array
+from mjris.radio.namespace import Array, array_namespace
 
 
 def aligned_phases(channels: Channels, weights: Array | None = None, iterations: int = 3) -> Array:

@@ -1,35 +1,28 @@
-"""NOMA within clusters, compiled: who decodes whose signals, with which powers and rates."""
-
-import math
+"""NOMA within clusters: who decodes whose signals, with which powers and rates."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjris.jit.compiled import compiled
+from mjris.radio.equations import cancelled_sinr, qos_power_w, rate_bps
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
 
 @compiled
-def needed_share(bandwidth_hz: float, least_bps: float) -> float:
-    """What part t/(1+t) = 1 - 2^(-R/B) of its SINR t a rate takes."""
-    # A hair above it, so that rounding never leaves a rate below its QoS.
-    return -math.expm1(-math.log(2) / bandwidth_hz * least_bps) * (1 + 1e-12)
-
-
-@compiled
 def qos_first(gains: FloatArray, order: IntArray, budget: float, needed: FloatArray, powers: FloatArray) -> None:
-    """Write `control.qos_first_split` of every cluster to `powers` [K], for users decoded in `order` [V, K/V].
+    """Write powers [K] [W] to `powers`: in decoding order what a user's rate takes, and the rest to the last one.
 
-    `gains` [K] are those that count in this order, see `decodable`, and `needed` [K] the users' `needed_share`.
+    Of the `budget` [W] of each cluster, with users decoded in `order` [V, K/V]. `gains` [K] [1/W] are those that count
+    in this order, see `decodable`, and `needed` [K] the users' `needed_share`. This has the highest sum rate with these
+    rates; who cannot have his gets nothing.
     """
     for v in range(len(order)):
         left = budget
         for place in range(order.shape[1] - 1):
-            user = order[v, place]
-            wanted = needed[user] * (left + 1 / gains[user])
-            powers[user] = wanted if wanted <= left else 0.0
+            user = int(order[v, place])
+            powers[user] = qos_power_w(gains[user], left, needed[user])
             left -= powers[user]
         powers[order[v, -1]] = left
 
@@ -48,17 +41,16 @@ def decodable(gains: FloatArray, order: IntArray) -> FloatArray:
 
 @compiled
 def cancelled(bandwidth_hz: float, gains: FloatArray, powers: FloatArray, order: IntArray, found: FloatArray) -> None:
-    """Write rates to `found` [K] where only users later in `order` [V, K/V] interfere, eq. (inuk).
+    """Write rates [bit/s] to `found` [K] where only users later in `order` [V, K/V] interfere, eq. (inuk).
 
     Each is also decodable by those of them who have power: who is sent nothing decodes for nobody.
     """
     for v in range(len(order)):
         later, weakest = 0.0, np.inf
         for place in range(order.shape[1] - 1, -1, -1):
-            user = order[v, place]
+            user = int(order[v, place])
             gain = min(weakest, gains[user])
-            sinr = gain * powers[user] / (gain * later + 1)
-            found[user] = bandwidth_hz / math.log(2) * math.log1p(sinr)
+            found[user] = rate_bps(bandwidth_hz, cancelled_sinr(gain, powers[user], later))
             if powers[user] > 0:
                 weakest = gain
                 later += powers[user]
@@ -66,7 +58,7 @@ def cancelled(bandwidth_hz: float, gains: FloatArray, powers: FloatArray, order:
 
 @compiled
 def ascending(clusters: IntArray, gains: FloatArray) -> IntArray:
-    """Users of every cluster [V, K/V] by ascending gain [V, K/V]."""
+    """Users of every cluster [V, K/V] by ascending gain [V, K/V]: for any powers, no order has a higher sum rate."""
     order = np.empty_like(clusters)
     for v in range(len(order)):
         for place in range(order.shape[1]):

@@ -1,9 +1,12 @@
 """The array library of some arrays, looked up once for each kind of array: radio functions are called very often."""
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import array_api_compat
 import numpy as np
+
+Array: TypeAlias = Any
+"""An array of any library that follows the Python array API; real ones are float64, complex ones complex128."""
 
 # NumPy follows the standard by itself.
 _KNOWN: dict[type, Any] = {np.ndarray: np}

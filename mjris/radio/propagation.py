@@ -1,76 +1,55 @@
-"""Path loss and Rician fading with its correlation over time and between cells."""
-
-from typing import Any, TypeAlias
+"""Path loss and element gains of NumPy arrays: faces of `equations`."""
 
 import numpy as np
-from array_api_compat import is_array_api_obj
+from numpy.typing import ArrayLike, NDArray
 
-from mjris.radio.namespace import array_namespace
+from mjris.config import Radio
+from mjris.jit.compiled import compiled
+from mjris.radio import equations
+from mjris.radio.tables import LinkTable
 
-Array: TypeAlias = Any
-"""An array of any library that follows the Python array API; real ones are float64, complex ones complex128."""
+FloatArray = NDArray[np.floating]
 
 
-def path_loss_db(distance_m: Array, blockers: Array, carrier_hz: float) -> Array:
-    """Path loss of links with `blockers` obstacles in their way [dB].
+def path_loss_db(
+    distance_m: ArrayLike, blockers: ArrayLike, carrier_hz: float, link_table: str = "paper"
+) -> FloatArray:
+    """Path loss of links with `blockers` obstacles in their way [dB], eqs. (PLLOS) and (PLNLOS) with the paper's table.
 
-    Eq. (PLLOS) without obstacles, eq. (PLNLOS) with L_f = 15 + 4(n - 1) for n >= 1 of them. `distance_m` [m] is
-    clamped to 1 m, where the models begin. Both arguments may be plain numbers, and broadcast.
+    `distance_m` [m] is clamped to 1 m, where the models begin. It and `blockers` may be plain numbers, and broadcast.
+    Raises `ConfigError` for a table that is not known, and for a carrier where it does not hold.
     """
-    xp, distance = _as_array(distance_m)
-    blockers = xp.asarray(blockers)
-    distance = xp.where(distance < 1, 1.0, distance)
-    clear = 16.9 * xp.log10(distance) - 27.2 + 20 * np.log10(carrier_hz / 1e6)
-    blocked = indoor_loss_db(distance, carrier_hz, 25.5, 15 + 4 * (blockers - 1))
-    return xp.where(blockers > 0, blocked, clear)
+    table = LinkTable.of(Radio(link_table=link_table, carrier_hz=carrier_hz))
+    distance, obstacles = np.broadcast_arrays(np.asarray(distance_m, np.float64), np.asarray(blockers, np.float64))
+    return _losses(table, distance.ravel(), obstacles.ravel()).reshape(distance.shape)
 
 
-def indoor_loss_db(distance_m: Array, carrier_hz: float, coefficient: float, obstacle_loss_db: Array) -> Array:
-    """Site-general indoor transmission loss of ITU-R P.1238: L_0 + N log10 d + L_f, with L_0 of eq. (L) [dB]."""
-    xp, distance = _as_array(distance_m)
-    return 20 * np.log10(carrier_hz / 1e6) - 28 + coefficient * xp.log10(distance) + obstacle_loss_db
+def element_gain(radio: Radio, cosine: ArrayLike) -> FloatArray:
+    """Power gain [...] of an element for the cosine [...] of the angle from boresight, linear.
 
-
-def db_to_linear(db: Array) -> Array:
-    """Linear power ratio of a level in dB."""
-    return 10.0 ** (db / 10)
-
-
-def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Circular complex Gaussian samples of unit mean power, NumPy [*shape]."""
-    parts = rng.standard_normal((*shape, 2)) * 0.5**0.5
-    return parts.view(np.complex128)[..., 0]
-
-
-def evolve(diffuse: Array, innovation: Array, memory: float) -> Array:
-    """One slot of the first-order autoregression of diffuse fading.
-
-    `innovation` is a fresh unit-power sample; the mean power stays one and the correlation from slot to slot is
-    `memory` (1 freezes the fading).
+    "isotropic" is 1 everywhere; "cosine" is 2(n+1) cos^n in front of the element and nothing behind it, which
+    radiates all of the power (SimRIS: 2q = n = 0.57).
     """
-    return memory * diffuse + (1 - memory**2) ** 0.5 * innovation
+    cosines = np.asarray(cosine, np.float64)
+    return _element_gains(LinkTable.of(radio), cosines.ravel()).reshape(cosines.shape)
 
 
-def mix_cells(shared: Array, own: Array, difference_factor: float) -> Array:
-    """Diffuse fading of cells that share a part of it.
-
-    `shared` [...] is one unit-power sample for all cells, `own` [E, ...] one for each; between two cells the result
-    [E, ...] has the correlation 1 - `difference_factor`, and unit mean power.
-    """
-    return (1 - difference_factor) ** 0.5 * shared + difference_factor**0.5 * own
+def db_to_linear(level_db: FloatArray) -> FloatArray:
+    """Power ratios of levels [dB]."""
+    return 10.0 ** (level_db / 10)
 
 
-def rician(los: Array, diffuse: Array, k_factor: Array) -> Array:
-    """Rician fading of unit mean power, h of eq. (PL).
-
-    `los` has unit modulus, `diffuse` unit mean power, and `k_factor` is their power ratio, linear (0 is Rayleigh);
-    all broadcast.
-    """
-    diffuse_share = 1 / (k_factor + 1)
-    return (k_factor * diffuse_share) ** 0.5 * los + diffuse_share**0.5 * diffuse
+@compiled
+def _losses(table: LinkTable, distance_m: FloatArray, obstacles: FloatArray) -> FloatArray:
+    losses = np.empty(len(distance_m))
+    for link in range(len(losses)):
+        losses[link] = equations.path_loss_db(table, distance_m[link] ** 2, obstacles[link])
+    return losses
 
 
-def _as_array(values: Array) -> tuple[Any, Array]:
-    """The namespace of `values` and `values` as its array; plain numbers become NumPy arrays."""
-    array = values if is_array_api_obj(values) else np.asarray(values)
-    return array_namespace(array), array
+@compiled
+def _element_gains(table: LinkTable, cosine: FloatArray) -> FloatArray:
+    gains = np.empty(len(cosine))
+    for direction in range(len(gains)):
+        gains[direction] = equations.db_to_linear(equations.element_gain_db(table, cosine[direction]))
+    return gains

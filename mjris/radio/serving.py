@@ -4,7 +4,6 @@
 each, which cost many times the arithmetic.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 from mjris.config import Radio
 from mjris.jit.compiled import compiled
 from mjris.radio.beams import band_beams, cluster_beams, received
-from mjris.radio.decoding import ascending, cancelled, decodable, needed_share, qos_first
+from mjris.radio.decoding import ascending, cancelled, decodable, qos_first
+from mjris.radio.equations import needed_share, rate_bps
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -234,5 +234,5 @@ def _oma(system: System, channel: ComplexArray, beams: ComplexArray, powers: Flo
                 if other != user:
                     unwanted += received(channel, user, beams, other) * powers[other]
             sinr = received(channel, user, beams, user) * powers[user] / unwanted  # eq. (SINROMA)
-            found[user] = system.bandwidth_hz / bands / math.log(2) * math.log1p(sinr)
+            found[user] = rate_bps(system.bandwidth_hz / bands, sinr)
     return found

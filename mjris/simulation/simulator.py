@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.jit.compiled import compiled
-from mjris.radio import access, alignment, channel, links, propagation, serving
+from mjris.radio import access, alignment, channel, fading, links, serving
+from mjris.radio.tables import LinkTable
 from mjris.simulation.checks import checked
 from mjris.simulation.constraints import evaluate
 from mjris.simulation.scene import Retune, Scene, Slot
 from mjris.simulation.streams import CellId, Streams, first_cells
+from mjris.world import facing
 from mjris.world.layout import load_layout
 from mjris.world.world import World
 
@@ -51,16 +52,17 @@ class Simulator:
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
         self.system = serving.System.of(radio, self.clusters, config.task.qos_bps)
-        self.medium = links.Medium.of(radio)
-        """What the compiled radio needs of the config."""
+        self.link_table = LinkTable.of(radio)
+        self.links = links.Links(k, 1)
+        """Which links there are: the axes [L] of the scene."""
+        self._panel_sizes = np.array([[radio.panel_rows, radio.panel_cols]])
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
         self.room_m = np.array([self.world.office(e).layout.room.size[:2] for e in range(num_cells)])
         """Sizes of the rooms [E, 2] [m]."""
         axes = np.stack([self.world.office(e).ap_axis for e in range(num_cells)])
-        self._antennas = channel.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
-        self._own_person = np.array([*range(k), *range(k), -1])
+        self._antennas = links.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
         """Of h_d, G and h_r, [E, K M + N M + K N]."""
         self.order = self.system.no_order(num_cells)
@@ -122,7 +124,7 @@ class Simulator:
         sent = self._transmit(parts, phases_rad, powers_w, retune)
         self._face_panels(pan_rad)
         if fresh is not None:
-            self._diffuse = propagation.evolve(self._diffuse, fresh, self.config.radio.fading_memory)
+            self._diffuse = fading.evolve(self._diffuse, fresh, self.config.radio.fading_memory)
         self.scene = self._observe(self._diffuse)
         self.slots += 1
         return Slot(
@@ -174,7 +176,7 @@ class Simulator:
 
     def _between(self, fresh: ComplexArray, share: float) -> ComplexArray:
         """Diffuse fading when a share of the slot is over, on the arc to that of the next slot; its power stays one."""
-        return propagation.evolve(self._diffuse, fresh, math.cos(share * math.acos(self.config.radio.fading_memory)))
+        return fading.evolve(self._diffuse, fresh, math.cos(share * math.acos(self.config.radio.fading_memory)))
 
     def effective_channel(self, phases_rad: FloatArray, channels: channel.Channels | None = None) -> ComplexArray:
         """H [E, K, M] for phases [E, N] [rad], without the RIS where the task has none; by default of the scene."""
@@ -223,7 +225,7 @@ class Simulator:
 
     def bisector(self, places: FloatArray) -> FloatArray:
         """Where panels at `places` [E, 2] [m] should face: the bisector of `aims`, [E] [rad]."""
-        return _bisectors(self.aims(self.world.crowd.xy), places)
+        return facing.bisector(self.aims(self.world.crowd.xy), places)
 
     def aims(self, users_xy: FloatArray) -> FloatArray:
         """What panels face between [E, ., 2] [m]: users, or the room's middle for a fixed RIS, and, last, the AP."""
@@ -249,33 +251,25 @@ class Simulator:
     def _observe(self, diffuse: ComplexArray) -> Scene:
         """Sight, path losses and channels at the present positions, with this diffuse fading."""
         radio, world = self.config.radio, self.world
-        panel, receivers, heading = world.panel_centre(), world.receivers(), world.fleet.panel_heading
-        start, end = links.ends(self.ap_position, panel, receivers)
-        blockers = world.sight.blockers(start, end, self._own_person)
-        mean = links.means(self.medium, start, end, blockers, heading)
-        elements = links.panel_elements(panel, heading, radio.panel_rows, radio.panel_cols, self._spacing_m)
+        panels, headings = world.panel_centre()[:, None], world.fleet.panel_heading[:, None]
+        receivers = world.receivers()
+        start, end = self.links.ends(self.ap_position, panels, receivers)
+        blockers = world.sight.blockers(start, end, self.links.person)
+        mean = links.means(self.link_table, self.links.panel, start, end, blockers, headings)
+        elements = links.panel_elements(panels, headings, self._panel_sizes, self._spacing_m)
+        counts = self._panel_sizes.prod(1)
         return Scene(
-            rover_xy=panel[:, :2],
+            rover_xy=panels[:, 0, :2],
             rover_heading=world.fleet.heading,
-            panel_heading=heading,
+            panel_heading=headings[:, 0],
             users_xy=receivers[..., :2],
             blockers=blockers,
             path_loss_db=mean.loss_db,
-            channels=links.channels(self._antennas, receivers, elements, mean, diffuse, radio.wavelength_m),
+            channels=links.channels(
+                self.links, self._antennas, receivers, elements, counts, mean, diffuse, radio.wavelength_m
+            ),
         )
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:
         """Fresh diffuse fading of some cells [n, ...]."""
         return self._streams.diffuse(cells, self._diffuse.shape[1], self.config.radio.difference_factor)
-
-
-@compiled
-def _bisectors(aims: FloatArray, places: FloatArray) -> FloatArray:
-    """`Simulator.bisector` for `Simulator.aims`."""
-    headings, x, y = np.empty(len(places)), places[:, 0].copy(), places[:, 1].copy()
-    forward_x, forward_y = np.empty(len(x)), np.empty(len(x))
-    for e in range(len(places)):
-        own = slice(e, e + 1)
-        links.bisectors(aims[e], x[own], y[own], forward_x[own], forward_y[own])
-        headings[e] = math.atan2(forward_y[e], forward_x[e])
-    return headings

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.radio import propagation
+from mjris.radio import fading
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -148,9 +148,9 @@ class Streams:
         """Fresh diffuse fading of some cells [n, size], correlated between cells by the difference factor."""
         sources = [self._streams[e].shared for e in cells]
         first = {source: place for place, source in enumerate(dict.fromkeys(sources))}
-        drawn = np.stack([propagation.complex_normal(source, (size,)) for source in first])
+        drawn = np.stack([fading.complex_normal(source, (size,)) for source in first])
         shared = drawn[[first[source] for source in sources]]
         if difference_factor == 0:
             return shared
-        own = np.stack([propagation.complex_normal(self._streams[e].fading, (size,)) for e in cells])
-        return propagation.mix_cells(shared, own, difference_factor)
+        own = np.stack([fading.complex_normal(self._streams[e].fading, (size,)) for e in cells])
+        return fading.mix_cells(shared, own, difference_factor)
