@@ -22,12 +22,10 @@ from stable_baselines3 import DDPG
 from mjris.config import Config, preset
 from mjris.envs.gym_env import OfficeEnv
 from mjris.envs.sb3_vec import OfficeVecEnv
+from mjris.eval.gradients import Problem, merit
 from mjris.eval.optimum import best_known
 from mjris.learn.agent import build_agent, hidden_layers
 from mjris.learn.run import train
-from mjris.radio.access import noma_rates
-from mjris.radio.channel import Channels, effective_channel
-from mjris.radio.control import qos_first_powers
 from mjris.show.rollout import record
 from mjris.show.video import write_video
 from mjris.simulation.simulator import Simulator
@@ -187,16 +185,15 @@ def optimum(repeats: int) -> list[Times]:
     channels, radio, clusters = simulator.scene.channels, config.radio, simulator.clusters
     qos_bps, users = config.task.qos_bps, config.world.num_users
     manifold, optimizer = ComplexCircle(radio.num_elements), ConjugateGradient(verbosity=0)
+    problem = Problem(torch.as_tensor(clusters), radio, qos_bps)
 
     def search(slot: int) -> None:
-        links = Channels(*(torch.asarray(link[slot]) for link in channels))
+        direct, incident, reflected = (torch.asarray(link[slot : slot + 1]) for link in channels)
 
         @pymanopt.function.pytorch(manifold)
         def loss(response: torch.Tensor) -> torch.Tensor:
-            h = effective_channel(links, response)
-            budget = clusters, radio.scheme, radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, qos_bps
-            powers = qos_first_powers(h, *budget)
-            return -noma_rates(h, powers, clusters, radio.bandwidth_hz, radio.noise_w).sum() / radio.bandwidth_hz
+            sum_rate, shortfall = merit(problem, direct + (reflected * response) @ incident, problem.full_budgets)
+            return (10 * shortfall - sum_rate / radio.bandwidth_hz).sum()
 
         optimizer.run(pymanopt.Problem(manifold, loss))
 

@@ -31,7 +31,7 @@ from mjris.eval.planner import best_places
 from mjris.eval.policies import parked, planned
 from mjris.eval.powers import best_powers
 from mjris.planning.radio_map import penalised
-from mjris.radio.channel import Channels
+from mjris.radio.links import Channels
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId, Purpose, generator
 

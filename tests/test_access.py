@@ -4,12 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.radio.access import decoding_order, noma_rates, oma_rates, zero_forcing
-from mjris.radio.channel import Channels, effective_channel, ris_response
 from mjris.radio.fading import complex_normal
 
 BANDWIDTH = 1e6
@@ -103,8 +101,6 @@ def test_beams_of_nearly_equal_channels_are_those_of_a_small_regularisation(seed
         # The pseudo-inverse: both get the matched filter within what is orthogonal to the third.
         for beam, limit in zip(beams.T, slow_beams(channel / np.linalg.norm(channel, axis=1)[:, None]), strict=True):
             assert abs(beam.conj() @ limit) == pytest.approx(1, abs=1e-5)
-    torch_beams = zero_forcing(torch.asarray(channel)).numpy()
-    np.testing.assert_allclose(abs(channel @ torch_beams), abs(channel @ beams), rtol=2e-2, atol=1e-5)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4))
@@ -235,39 +231,3 @@ def test_bad_orders_are_refused(order):
     channel, power, _ = random_case(np.random.default_rng(7), 4, 2, 4, batch=())
     with pytest.raises(ValueError, match="order"):
         noma_rates(channel, power, np.array([[0, 1], [2, 3]]), BANDWIDTH, NOISE, np.array(order))
-
-
-@pytest.mark.parametrize("rates", [noma_rates, oma_rates, decoding_order])
-def test_torch_equals_numpy(rates):
-    channel, power, clusters = random_case(np.random.default_rng(8), 6, 2, 4, batch=(2, 3))
-    arguments = (NOISE,) if rates is decoding_order else (BANDWIDTH, NOISE)
-    expected = rates(channel, power, clusters, *arguments)
-    for groups in (clusters, torch.asarray(clusters)):
-        actual = rates(torch.asarray(channel), torch.asarray(power), groups, *arguments)
-        np.testing.assert_allclose(actual.numpy(), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("rates", [noma_rates, oma_rates])
-def test_gradient_of_the_sum_rate_matches_finite_differences(rates):
-    rng = np.random.default_rng(9)
-    shapes = ((2, 4, 3), (2, 5, 3), (2, 4, 5))
-    channels = Channels(*(complex_normal(rng, shape) for shape in shapes))
-    power, phases = rng.uniform(0.1, 1, (2, 4)), rng.uniform(0, 6, (2, 5))
-    clusters = np.array([[0, 3], [1, 2]])
-
-    def sum_rate(links, phases, power):
-        return rates(effective_channel(links, ris_response(phases, 1.0)), power, clusters, 1.0, NOISE).sum()
-
-    inputs = [torch.tensor(phases, requires_grad=True), torch.tensor(power, requires_grad=True)]
-    sum_rate(Channels(*map(torch.asarray, channels)), *inputs).backward()
-    for which, values in enumerate((phases, power)):
-        numeric = np.zeros_like(values)
-        for index in np.ndindex(values.shape):
-            step = np.zeros_like(values)
-            step[index] = 1e-6
-            ahead, behind = ([phases, power], [phases, power])
-            ahead[which], behind[which] = values + step, values - step
-            numeric[index] = (sum_rate(channels, *ahead) - sum_rate(channels, *behind)) / 2e-6
-        gradient = inputs[which].grad
-        assert gradient is not None
-        np.testing.assert_allclose(gradient.numpy(), numeric, rtol=1e-5, atol=1e-6)

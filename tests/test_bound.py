@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from cases import effective_channel
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
@@ -11,9 +12,9 @@ from mjris.config import Radio
 from mjris.eval.bound import upper_bound
 from mjris.eval.optimum import best_known
 from mjris.radio.access import noma_rates, oma_rates
-from mjris.radio.channel import Channels, effective_channel, ris_response
-from mjris.radio.control import split_powers
 from mjris.radio.fading import complex_normal
+from mjris.radio.links import Channels
+from mjris.radio.serving import System, split_powers
 
 SEEDS = st.integers(0, 2**32 - 1)
 SCHEMES = st.sampled_from(["noma", "oma"])
@@ -37,7 +38,8 @@ def random_channels(rng, batch=(3,), users=4, antennas=4, elements=6):
 
 
 def sum_rates(channels, phases, powers, clusters, radio):
-    effective = effective_channel(channels, ris_response(phases, radio.element_amplitude))
+    channels = Channels(*(np.broadcast_to(link, (*phases.shape[:-1], *link.shape[-2:])) for link in channels))
+    effective = effective_channel(channels, phases, radio.element_amplitude)
     rates = oma_rates if radio.scheme == "oma" else noma_rates
     return rates(effective, powers, clusters, radio.bandwidth_hz, radio.noise_w).sum(-1)
 
@@ -54,7 +56,8 @@ def test_nothing_random_exceeds_the_bound(seed, scheme, num_clusters, power_w, a
     phases = rng.uniform(-np.pi, np.pi, (50, 3, 6))
     # Half of the draws give all of the power to few users.
     shares = rng.uniform(0, 1, (50, 3, 4)) ** rng.choice([1, 20], (50, 1, 1))
-    powers = split_powers(shares / shares.max(-1, keepdims=True), clusters, scheme, radio.tx_power_w)
+    shares = (shares / shares.max(-1, keepdims=True)).reshape(-1, 4)
+    powers = split_powers(System.of(radio, clusters, 0.0), shares).reshape(50, 3, 4)
     assert np.all(sum_rates(channels, phases, powers, clusters, radio) <= bound)
 
 

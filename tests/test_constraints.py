@@ -4,6 +4,7 @@ import pytest
 from mjris.config import Config, Radio, World
 from mjris.envs.gym_env import OfficeEnv
 from mjris.radio import access
+from mjris.radio.serving import System
 from mjris.simulation.constraints import NAMES, ascending, evaluate, within_budget, within_room
 from mjris.simulation.simulator import Simulator
 
@@ -74,6 +75,7 @@ def test_every_constraint_is_reported_on_its_own():
         "hull_radius_m": 0.25,
         "room_m": np.array([[10.0, 10.0]]),
         "effective": np.diag([1.0 + 0j, 2.0, 3.0, 4.0])[None],
+        "known": np.diag([1.0 + 0j, 2.0, 3.0, 4.0])[None],
         "powers_w": np.full((1, 4), 0.02),
         "order": np.array([[[0, 1], [2, 3]]]),
         "rates_bps": np.full((1, 4), 1e4),
@@ -87,10 +89,10 @@ def test_every_constraint_is_reported_on_its_own():
         "qos": {"rates_bps": np.array([[1e4, 1e4, 9999.0, 1e4]])},
         "collision_free": {"collisions": np.array([2])},
     }
-    assert all(evaluate(config, CLUSTERS, **arguments).by_cell()[0].values())
+    assert all(evaluate(config, System.of(config.radio, CLUSTERS, 0.0), **arguments).by_cell()[0].values())
     assert tuple(broken) == NAMES
     for name, change in broken.items():
-        kept = evaluate(config, CLUSTERS, **(arguments | change)).by_cell()[0]
+        kept = evaluate(config, System.of(config.radio, CLUSTERS, 0.0), **(arguments | change)).by_cell()[0]
         assert [each for each, value in kept.items() if not value] == [name]
 
 
@@ -99,10 +101,11 @@ def test_room_and_power_of_a_slot_are_those_of_the_array_functions(scheme):
     rng, config = np.random.default_rng(4), Config(radio=Radio(scheme=scheme))
     places, room = rng.uniform(-1, 11, (200, 2)), rng.uniform(8, 10, (200, 2))
     powers = rng.uniform(-0.001, 0.026 if scheme == "oma" else 0.06, (200, 4))
-    arguments = {"effective": np.ones((200, 4, 4), complex), "order": None, "collisions": np.zeros(200, int)}
+    channel = np.ones((200, 4, 4), complex)
+    arguments = {"effective": channel, "known": channel, "order": None, "collisions": np.zeros(200, int)}
     kept = evaluate(
         config,
-        CLUSTERS,
+        System.of(config.radio, CLUSTERS, 0.0),
         rover_xy=places,
         hull_radius_m=0.3,
         room_m=room,

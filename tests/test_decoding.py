@@ -1,10 +1,10 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjris.radio.control import qos_first_split
 from mjris.radio.decoding import ascending, cancelled, decodable, qos_first
 from mjris.radio.equations import needed_share
 
@@ -13,16 +13,23 @@ BANDWIDTH_HZ = 2.0
 
 
 @given(SEEDS)
-def test_splits_are_those_of_control_and_give_what_is_wanted(seed):
+def test_powers_are_what_rates_take_and_the_rest_for_the_last(seed):
     rng = np.random.default_rng(seed)
     clusters = rng.permutation(6).reshape(2, 3)
     gains, least = 10 ** rng.uniform(-2, 3, 6), rng.uniform(0, 2, 6)
     order = ascending(clusters, gains)
     powers, rates = np.empty(6), np.empty(6)
     needed = np.array([needed_share(BANDWIDTH_HZ, rate) for rate in least])
-    qos_first(gains, order, 3.0, needed, powers)
-    expected = qos_first_split(gains[order], np.array([3.0, 3.0]), BANDWIDTH_HZ, least[order])
-    np.testing.assert_allclose(powers[order], expected, rtol=1e-12)
+    budgets = np.array([3.0, 5.0])
+    qos_first(gains, order, budgets, needed, powers)
+    for cluster, left in zip(order, budgets, strict=True):
+        for user in cluster[:-1]:
+            # t (1 + left e)/ (e (1 + t)) for the SINR t of the rate
+            sinr = 2 ** (least[user] / BANDWIDTH_HZ) - 1
+            wanted = sinr * (1 + left * gains[user]) / (gains[user] * (1 + sinr))
+            assert powers[user] == pytest.approx(wanted if wanted <= left else 0, rel=1e-9)
+            left -= powers[user]
+        assert powers[cluster[-1]] == pytest.approx(left, rel=1e-9)
     cancelled(BANDWIDTH_HZ, gains, powers, order, rates)
     served = (powers > 0) & ~np.isin(np.arange(6), order[:, -1])
     np.testing.assert_allclose(rates[served], least[served], rtol=1e-9)

@@ -15,7 +15,7 @@ from mjris.config import Config, ConfigError, preset
 from mjris.envs.gym_env import OfficeEnv
 from mjris.envs.sb3_vec import OfficeVecEnv
 from mjris.planning.radio_map import bare_values, best_goals, place_values
-from mjris.radio import alignment, serving
+from mjris.radio import closed_forms, serving
 from mjris.simulation.streams import CellId
 from mjris.simulation.task import Task
 
@@ -232,7 +232,7 @@ def test_action_zero_is_the_closed_forms(scheme):
     move, phases, powers, *_ = task.decode(np.zeros((3, task.action_size)))
     np.testing.assert_array_equal(move, simulator.world.way_toward(best_goals(simulator)[0]))
     system = serving.System.of(task.config.radio, simulator.clusters, task.config.task.qos_bps)
-    aligned = alignment.qos_aligned_phases(system, simulator.scene.channels)
+    aligned = closed_forms.qos_aligned_phases(system, simulator.surface, simulator.scene.known)
     np.testing.assert_allclose(phases, aligned)
     wanted = np.full(4, 1.05 * task.config.task.qos_bps)
     best, _ = serving.qos_or_sum(system, simulator.effective_channel(aligned), wanted)

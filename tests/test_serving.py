@@ -1,15 +1,13 @@
-"""The compiled slot against `access` and `control`, and the closed forms that only it has."""
+"""Rates, powers in closed form, and what follows from what is known."""
 
+import cases
 import numpy as np
 import pytest
+from cases import qos_first_powers
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjris.radio.access import cluster_beams, decoding_order, noma_rates, oma_rates, zero_forcing
-from mjris.radio.alignment import qos_aligned_phases
-from mjris.radio.channel import Channels, effective_channel, ris_response
-from mjris.radio.control import aligned_phases, qos_first_powers
-from mjris.radio.control import split_powers as split_by_arrays
+from mjris.radio.access import decoding_order, noma_rates, oma_rates
 from mjris.radio.fading import complex_normal
 from mjris.radio.serving import System, qos_or_sum, rates, split_powers
 
@@ -19,12 +17,7 @@ SHAPES = st.sampled_from([(1, 1, 1), (1, 4, 2), (2, 2, 3), (3, 2, 3), (2, 3, 4),
 
 
 def system(scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps, clusters=CLUSTERS, selects=False) -> System:
-    return System(clusters, scheme == "oma", tx_power_w, bandwidth_hz, noise_w, qos_bps, selects)
-
-
-def random_channels(rng, batch=(3,), users=4, antennas=4, elements=16):
-    shapes = ((users, antennas), (elements, antennas), (users, elements))
-    return Channels(*(complex_normal(rng, (*batch, *shape)) for shape in shapes))
+    return cases.system(scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps, clusters, selects)
 
 
 def random_clusters(rng, num_clusters, size):
@@ -49,81 +42,11 @@ def test_rates_are_those_of_access(seed, shape):
     np.testing.assert_allclose(rates(noma, *flat, order), expected, rtol=1e-9)
 
 
-@given(SEEDS, st.sampled_from(["noma", "oma"]))
-def test_shares_of_powers_are_those_of_control(seed, scheme):
-    rng = np.random.default_rng(seed)
-    clusters, shares = random_clusters(rng, 2, 3), rng.uniform(0, rng.uniform(0.1, 1), (5, 6))
-    expected = split_by_arrays(shares, clusters, scheme, 5.0)
-    found = split_powers(system(scheme, 5.0, 1.0, 1.0, 0.0, clusters), shares)
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-
-
 def test_bad_powers():
     channel = complex_normal(np.random.default_rng(0), (2, 4, 4))
     for bad in (-0.1, np.nan):
         with pytest.raises(ValueError, match="power_w"):
             rates(system("noma", 1.0, 1.0, 1.0, 0.0), channel, np.array([0.1, 0.1, bad, 0.1]))
-
-
-def slow_serve(served: System, channel, qos_bps):
-    """Powers and rates of one choice of least rates, and everybody's beam [..., K, M], by `access` and `control`."""
-    scheme, clusters = "oma" if served.oma else "noma", served.clusters
-    powers = qos_first_powers(
-        channel, clusters, scheme, served.tx_power_w, served.bandwidth_hz, served.noise_w, qos_bps
-    )
-    found = (oma_rates if served.oma else noma_rates)(channel, powers, clusters, served.bandwidth_hz, served.noise_w)
-    beams = np.empty(channel.shape, complex)
-    if served.oma:
-        for band in clusters.T:
-            beams[..., band, :] = np.swapaxes(zero_forcing(channel[..., band, :]), -1, -2)
-    else:
-        for users, beam in zip(clusters, np.moveaxis(cluster_beams(channel, clusters), -1, 0), strict=True):
-            beams[..., users, :] = beam[..., None, :]
-    return powers, found, beams
-
-
-def slow_phases(served: System, channels: Channels, weights, iterations=7):
-    """`qos_aligned_phases` of all cells at once, from array operations."""
-    strength = (abs(channels.direct) ** 2).sum(-1)
-    best, phases = np.full(len(strength), -np.inf), np.zeros(channels.incident.shape[:2])
-    for rank in range(served.clusters.shape[1]):
-        chosen = np.zeros(strength.shape, bool)
-        for users in served.clusters:
-            at = users[np.argsort(-strength[:, users], axis=1)[:, rank]]
-            chosen[np.arange(len(at)), at] = True
-        response = ris_response(
-            aligned_phases(channels, np.where(chosen, weights, -1 / weights) / strength, iterations=0), 1.0
-        )
-        raised = weights.copy()
-        for iteration in range(iterations):
-            channel = effective_channel(channels, response)
-            _, found, beams = slow_serve(served, channel, served.qos_bps)
-            _, unserved, _ = slow_serve(served, channel, 0.0)
-            met = (found >= served.qos_bps).all(-1)
-            found = np.where(met[:, None], found, unserved)
-            score = found.sum(-1) + 1e12 * met
-            phases = np.where((score > best)[:, None], np.angle(response), phases)
-            best = np.maximum(best, score)
-            own = (channel * beams).sum(-1)
-            if iteration >= 2:
-                raised = np.where(found < served.qos_bps, 2 * raised, raised)
-            toward = raised * own.conj() if iteration < 2 else raised / own
-            through = channels.reflected * np.einsum("enm,ekm->ekn", channels.incident, beams)
-            pull = (toward[..., None] * through).sum(1)
-            response = pull.conj() / abs(pull)
-    return phases
-
-
-@pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.5), ("oma", 2.5)])
-@given(seed=SEEDS)
-def test_aligned_phases_are_those_of_slow_arrays(scheme, qos, seed):
-    rng = np.random.default_rng(seed)
-    channels = random_channels(rng, batch=(5,), elements=9)
-    served = system(scheme, 5.0, 1.0, 0.1, qos, random_clusters(rng, 2, 2))
-    weights = 10 ** rng.uniform(-1, 1, (5, 4))
-    expected = slow_phases(served, channels, weights, iterations=4)
-    found = qos_aligned_phases(served, channels, weights, iterations=4)
-    np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * expected), atol=1e-6)
 
 
 @pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.6), ("oma", 4.0)])
@@ -133,7 +56,7 @@ def test_qos_or_sum_serves_all_or_maximises_the_sum(scheme, qos):
     rates_of = noma_rates if scheme == "noma" else oma_rates
     powers, rates = qos_or_sum(system(scheme, *arguments), channel)
     np.testing.assert_allclose(rates, rates_of(channel, powers, CLUSTERS, 1.0, 0.1), rtol=1e-9)
-    first = qos_first_powers(channel, CLUSTERS, scheme, *arguments)
+    first = qos_first_powers(channel, CLUSTERS, *arguments) if scheme == "noma" else np.full(powers.shape, 12.5)
     served = (rates_of(channel, first, CLUSTERS, 1.0, 0.1) >= qos).all(-1)
     assert 0.1 < served.mean() < 0.9
     np.testing.assert_allclose(powers[served], first[served])
@@ -167,35 +90,6 @@ def test_every_user_may_want_a_rate_of_its_own():
     assert (rates >= wanted * (1 - 1e-9)).all(-1).mean() > 0.5
 
 
-@pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.5), ("oma", 2.5)])
-def test_qos_aligned_phases_beat_aligned_ones(scheme, qos):
-    rng = np.random.default_rng(5)
-    channels = random_channels(rng, batch=(200,))
-    channels = channels._replace(reflected=0.3 * channels.reflected)
-    served = system(scheme, 5.0, 1.0, 0.1, qos)
-
-    def score(phases):
-        _, rates = qos_or_sum(served, effective_channel(channels, ris_response(phases, 1.0)))
-        return (rates >= qos).all(-1) * 1e6 + rates.sum(-1)
-
-    plain, better = score(aligned_phases(channels)), score(qos_aligned_phases(served, channels))
-    assert (better >= plain - 1e-9).mean() > 0.95
-    assert (better > plain + 1e-3).mean() > 0.5
-    assert (better > 1e6).sum() > (plain > 1e6).sum()
-    random = score(rng.uniform(-np.pi, np.pi, (200, 16)))
-    assert better.mean() > random.mean()
-
-
-def test_weights_decide_whom_the_panel_serves():
-    channels = random_channels(np.random.default_rng(6), batch=(100,))
-    served = system("noma", 5.0, 1.0, 0.1, 0.0)
-    for user in range(4):
-        weights = np.where(np.arange(4) == user, 1e3, 1.0) * np.ones((100, 1))
-        phases = qos_aligned_phases(served, channels, weights, iterations=1)
-        gain = (abs(effective_channel(channels, ris_response(phases, 1.0))) ** 2).sum(-1)
-        assert gain.mean(0).argmax() == user
-
-
 def best_on_a_grid(channel, clusters, order, qos, budget):
     """The most in eq. (R) over a fine grid of powers of one cluster of two users, all of its budget spent."""
     shares = np.linspace(0, 1, 2001)[:, None]
@@ -214,25 +108,6 @@ def test_powers_for_a_given_order_are_the_best_on_a_grid(seed):
     _, found = qos_or_sum(system("noma", 5.0, 1.0, 0.1, qos, clusters), channel, None, order)
     best = best_on_a_grid(channel[0], clusters, order[0], qos, 5.0)
     assert found.sum() >= best * (1 - 1e-3)
-
-
-@given(SEEDS)
-def test_phases_for_a_given_order_are_scored_in_it(seed):
-    """Knowing the order never serves fewer than not knowing it, but for what seven steps find by chance."""
-    rng = np.random.default_rng(seed)
-    channels = random_channels(rng, batch=(40,))
-    channels = channels._replace(reflected=0.5 * channels.reflected)
-    served = system("noma", 5.0, 1.0, 0.1, 0.3)
-    order = np.stack([rng.permuted(CLUSTERS, axis=1) for _ in range(40)])
-
-    def score(phases):
-        found = qos_or_sum(served, effective_channel(channels, ris_response(phases, 1.0)), None, order)[1]
-        return (found >= 0.3).all(-1) * 1e6 + found.sum(-1)
-
-    aware = score(qos_aligned_phases(served, channels, None, order))
-    unaware = score(qos_aligned_phases(served, channels))
-    assert (aware >= unaware * (1 - 1e-9)).mean() > 0.8
-    assert aware.mean() > unaware.mean() * (1 - 1e-9)
 
 
 def test_a_scheduler_that_selects_serves_all_as_oma_or_the_strongest_as_noma():
@@ -272,3 +147,119 @@ def test_nearly_equal_channels_spoil_nobody_elses_cell(scheme, difference):
 def test_orders_of_another_number_of_cells_are_refused():
     with pytest.raises(ValueError, match="order: an array of shape"):
         rates(system("noma", 1.0, 1.0, 1.0, 0.0), np.ones((3, 4, 4), complex), np.ones((3, 4)), CLUSTERS[None])
+
+
+@given(SEEDS, st.sampled_from(["noma", "oma"]), st.sampled_from([1, 2, 4]))
+def test_split_never_exceeds_the_budget(seed, scheme, num_clusters):
+    rng = np.random.default_rng(seed)
+    shares, clusters = rng.uniform(0, 1, (5, 4)), rng.permutation(4).reshape(num_clusters, -1)
+    powers = split_powers(system(scheme, 0.1, 1.0, 1.0, 0.0, clusters), shares)
+    assert np.all(powers >= 0)
+    if scheme == "noma":
+        assert np.all(powers[:, clusters].sum(-1) <= 0.1 / num_clusters * (1 + 1e-12))
+    else:
+        assert np.all(powers <= 0.1 / 4)
+    assert np.all(powers.sum(-1) <= 0.1 * (1 + 1e-12))
+
+
+def test_split_by_hand():
+    shares = np.array([[0.25, 1.0, 0.5, 0.5]])
+    np.testing.assert_allclose(
+        split_powers(system("noma", 6.0, 1.0, 1.0, 0.0), shares)[0], [0.75, 2, 1, 1.5], rtol=1e-14
+    )
+    np.testing.assert_allclose(split_powers(system("oma", 4.0, 1.0, 1.0, 0.0), shares)[0], shares[0], rtol=1e-14)
+
+
+def test_qos_first_by_hand():
+    # P = 10, gains 1 and 10, noise 1, at least 1 bit: powers 5.5 and 4.5, 6.52356 bit in all.
+    channel, clusters = np.array([[1.0 + 0j], [10**0.5]]), np.array([[0, 1]])
+    powers = qos_first_powers(channel, clusters, 10.0, 1.0, 1.0, 1.0)
+    np.testing.assert_allclose(powers, [5.5, 4.5], rtol=1e-9)
+    assert noma_rates(channel, powers, clusters, 1.0, 1.0).sum() == pytest.approx(6.52356, abs=1e-5)
+
+
+@pytest.mark.parametrize("num_users", [2, 3])
+def test_qos_first_is_the_best_split_on_a_grid(num_users):
+    rng = np.random.default_rng(2)
+    clusters = np.arange(num_users)[None]
+    shares = np.stack(np.meshgrid(*[np.linspace(0, 1, 101)] * (num_users - 1)), axis=-1).reshape(-1, num_users - 1)
+    shares = np.concatenate([shares, 1 - shares.sum(-1, keepdims=True)], axis=-1)
+    shares = shares[shares[:, -1] >= 0]
+    for _ in range(5):
+        channel = complex_normal(rng, (num_users, 2))
+        rates = noma_rates(channel, 20 * shares, clusters, 1.0, 1.0)
+        feasible = rates.sum(-1)[(rates >= 0.3).all(-1)]
+        powers = qos_first_powers(channel, clusters, 20.0, 1.0, 1.0, 0.3)
+        best = noma_rates(channel, powers, clusters, 1.0, 1.0)
+        assert best.min() >= 0.3
+        assert feasible.max() <= best.sum() <= feasible.max() + 0.3
+
+
+@given(SEEDS, st.floats(0, 3), st.booleans())
+def test_qos_first_meets_qos_where_power_lasts(seed, qos, static):
+    rng = np.random.default_rng(seed)
+    clusters = rng.permutation(6).reshape(2, 3)
+    channel = complex_normal(rng, (4, 6, 3))
+    order = rng.permuted(np.broadcast_to(clusters, (4, 2, 3)), axis=-1) if static else None
+    powers = qos_first_powers(channel, clusters, 50.0, 1.0, 0.1, qos, order)
+    np.testing.assert_allclose(powers[:, clusters].sum(-1), 25, rtol=1e-12)
+    assert np.all(powers >= 0)
+    if order is None:
+        order = decoding_order(channel, powers, clusters, 0.1)
+    rates = noma_rates(channel, powers, clusters, 1.0, 0.1, order)
+    for cell, cluster in np.ndindex(4, 2):
+        sequence = order[cell, cluster]
+        if qos == 0:  # nobody needs anything: the strongest has all, in any order
+            strongest = decoding_order(channel, powers, clusters, 0.1)[cell, cluster, -1]
+            assert powers[cell, strongest] == pytest.approx(25, rel=1e-12)
+            continue
+        if static and (powers[cell, sequence] == 0).any():
+            continue  # in another order all are taken to be served, and limit each other
+        for place, user in enumerate(sequence[:-1]):
+            if powers[cell, user] > 0:
+                assert qos <= rates[cell, user] <= qos * (1 + 1e-9)
+            else:  # all that was left to it would not have been enough
+                trial = powers[cell].copy()
+                trial[sequence[place:]] = 0
+                trial[user] = 25 - trial[sequence].sum()
+                assert noma_rates(channel[cell], trial, clusters, 1.0, 0.1, order[cell])[user] <= qos
+
+
+def test_unreachable_qos_leaves_the_power_to_the_others():
+    channel = np.array([[1.0 + 0j], [10**0.5]])
+    np.testing.assert_array_equal(qos_first_powers(channel, np.array([[0, 1]]), 10.0, 1.0, 1.0, 4.0), [0, 10])
+
+
+@given(SEEDS, st.sampled_from(["noma", "oma"]))
+def test_beams_and_order_follow_from_what_is_known_and_rates_from_what_is(seed, scheme):
+    """Plain loops: beams of the estimate, in the order of the gains that it promises, over other channels."""
+    rng = np.random.default_rng(seed)
+    known = complex_normal(rng, (4, 4)) * 10 ** rng.uniform(-1, 0, (4, 1))
+    truth = known + 0.3 * complex_normal(rng, (4, 4)) * abs(known)
+    powers, noise = rng.uniform(0, 1, 4), 0.01
+    found = rates(system(scheme, 4.0, 1.0, noise, 0.0), truth, powers, known=known)
+    expected = np.zeros(4)
+    if scheme == "oma":
+        for band in CLUSTERS.T:
+            beams = unit_rows(np.linalg.pinv(known[band]).T)
+            for s, k in enumerate(band):
+                got = [powers[j] * abs(truth[k] @ beams[i]) ** 2 for i, j in enumerate(band)]
+                expected[k] = 0.5 * np.log2(1 + got[s] / (sum(got) - got[s] + noise / 2))
+    else:
+        heads = [max(users, key=lambda user: np.linalg.norm(known[user])) for users in CLUSTERS]
+        beams = unit_rows(np.linalg.pinv(known[heads]).T)
+
+        def gain(channel, k, v):
+            other = CLUSTERS[1 - v]
+            return abs(channel[k] @ beams[v]) ** 2 / (powers[other].sum() * abs(channel[k] @ beams[1 - v]) ** 2 + noise)
+
+        for v, users in enumerate(CLUSTERS):
+            first, last = sorted(users, key=lambda user: gain(known, user, v))
+            weakest = min(gain(truth, first, v), gain(truth, last, v))
+            expected[first] = np.log2(1 + weakest * powers[first] / (weakest * powers[last] + 1))
+            expected[last] = np.log2(1 + gain(truth, last, v) * powers[last])
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def unit_rows(rows):
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Radio
-from mjris.radio.channel import Channels, cascade, effective_channel, ris_response
-from mjris.radio.control import aligned_phases
+from mjris.radio.closed_forms import aligned_phases
+from mjris.radio.links import Channels
+from mjris.radio.surface import Surface, cascade, effective_channel
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -40,18 +41,19 @@ def upper_bound(channels: Channels, clusters: IntArray, radio: Radio) -> FloatAr
     oma = radio.scheme == "oma" and not radio.oma_selection
     chosen = clusters.reshape(1, -1) if oma else np.stack(np.meshgrid(*clusters), -1).reshape(-1, num_clusters)
     snr = radio.tx_power_w / (num_clusters * radio.noise_w)
-    loaded = channels._replace(reflected=radio.element_amplitude * channels.reflected)
-    alone = _of_users(loaded, np.arange(clusters.size)[:, None])
+    surface = Surface.of(radio)
+    alone = _of_users(channels, np.arange(clusters.size)[:, None])
+    everybody = np.ones(alone.direct.shape[:-1])
     # The first tangent touches at what each user could have for itself, so that the bound is not above their sum.
-    touched = snr * _most_gain(alone, np.ones(alone.direct.shape[:-1]), _aligned(alone))[..., chosen]
-    links = _of_users(loaded, chosen)
+    touched = snr * _most_gain(surface, alone, everybody, _aligned(surface, alone, everybody))[..., chosen]
+    links = _of_users(channels, chosen)
     bound = np.full(touched.shape[:-1], np.inf)
     for _ in range(_TANGENTS):
         weights = 1 / (1 + touched)
-        response = _aligned(links, weights)
-        tangent = (np.log1p(touched) - weights * touched).sum(-1) + snr * _most_gain(links, weights, response)
+        phases = _aligned(surface, links, weights)
+        tangent = (np.log1p(touched) - weights * touched).sum(-1) + snr * _most_gain(surface, links, weights, phases)
         bound = np.minimum(bound, tangent)
-        touched = snr * (abs(effective_channel(links, response)) ** 2).sum(-1)
+        touched = snr * (abs(effective_channel(surface, links, phases)) ** 2).sum(-1)
     return radio.bandwidth_hz / math.log(2) * (1 / size if oma else 1) * bound.max(-1)
 
 
@@ -61,26 +63,27 @@ def _of_users(channels: Channels, users: IntArray) -> Channels:
     return Channels(channels.direct[..., users, :], incident, channels.reflected[..., users, :])
 
 
-def _aligned(channels: Channels, weights: FloatArray | None = None) -> ComplexArray:
-    """Reflection coefficients [..., N] that nearly maximise Σ_k w_k ‖h_k‖²."""
-    return ris_response(aligned_phases(channels, weights, _ALIGNMENTS), np.ones(()))
+def _aligned(surface: Surface, channels: Channels, weights: FloatArray) -> FloatArray:
+    """Phases [..., N] [rad] that nearly maximise Σ_k w_k ‖h_k‖²."""
+    return aligned_phases(surface, channels, weights, _ALIGNMENTS)
 
 
-def _most_gain(channels: Channels, weights: FloatArray, response: ComplexArray) -> FloatArray:
-    """A bound [...] on Σ_k w_k ‖h_k‖² over all phases, tight where `response` [..., N] is nearly the best.
+def _most_gain(surface: Surface, channels: Channels, weights: FloatArray, phases_rad: FloatArray) -> FloatArray:
+    """A bound [...] on Σ_k w_k ‖h_k‖² over all phases, tight where `phases_rad` [..., N] are nearly the best.
 
     With ψ = (1, φ) the sum is ‖A ψ‖², where a row of A has the weighted paths to one user from one antenna. For any
     positive diagonal matrix D it is at most λ_max(D^-½ Aᴴ A D^-½) ψᴴ D ψ, and ψᴴ D ψ = tr D because of |ψ_n| = 1. At
     the best phases Aᴴ A ψ = D ψ for some D, which is what is taken; if the eigenvalue is one, nothing is lost. By the
     triangle inequality the sum is at most Σ_ij |Aᴴ A|_ij, too.
     """
-    paths = np.concatenate([channels.direct[..., None, :], cascade(channels)], -2)
-    paths = np.sqrt(weights)[..., None, None] * paths
+    paths = np.concatenate([channels.direct[..., None, :, :], cascade(surface, channels)], -3)
+    paths = np.sqrt(weights)[..., None, :, None] * paths
     # Rows for users and antennas, columns for the direct path and the elements.
-    rows = np.moveaxis(paths, -2, -1)
+    rows = np.moveaxis(paths, -3, -1)
     rows = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
     columns = np.conj(rows.swapaxes(-2, -1))
-    received = rows @ np.concatenate([np.ones_like(response[..., :1]), response], -1)[..., None]
+    turns = np.exp(1j * np.concatenate([np.zeros_like(phases_rad[..., :1]), phases_rad], -1))
+    received = rows @ turns[..., None]
     diagonal = abs(columns @ received)[..., 0]
     total = diagonal.sum(-1)
     diagonal = diagonal + 1e-9 * total[..., None] + np.finfo(float).tiny

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mjris.config import Config, ConfigError, Radio
 from mjris.planning.radio_map import bare_values, place_values
 from mjris.radio import propagation
+from mjris.radio.surface import element_amplitudes
 from mjris.simulation.simulator import Simulator
 from mjris.world.footprints import Footprints, footprints
 from mjris.world.office import HULL_FLOOR_GAP_M, PERSON_HEIGHT_M, Office, hull_height, hull_radius
@@ -98,7 +99,7 @@ def floor_map(
     receivers = _at_height(points, config.world.user_height_m)
     blockers, loss_db = links(simulator, receivers, simulator.ap_position[0])
     direct = propagation.db_to_linear(-loss_db)
-    one_element = np.sqrt(_cascade_gain(simulator, receivers, ris_xy, heading)) * config.radio.element_amplitude
+    one_element = _one_element(simulator, receivers, ris_xy, heading)
     snr = _snr(direct, config.radio)
     ris_snr = _snr((np.sqrt(direct) + config.radio.num_elements * one_element) ** 2, config.radio)
     bare = bare_values(simulator)[0]
@@ -142,8 +143,8 @@ def _snr(gain: FloatArray, radio: Radio) -> FloatArray:
     return radio.tx_power_w * radio.num_antennas * gain / radio.noise_w
 
 
-def _cascade_gain(simulator: Simulator, receivers: FloatArray, ris_xy: FloatArray, heading: FloatArray) -> FloatArray:
-    """Power gain from AP to receivers [..., 3] [m] by way of one element at its best, g_i g_r [...]."""
+def _one_element(simulator: Simulator, receivers: FloatArray, ris_xy: FloatArray, heading: FloatArray) -> FloatArray:
+    """Mean amplitude from AP to receivers [..., 3] [m] by way of one element [...]."""
     radio = simulator.config.radio
     panel = _at_height(ris_xy, simulator.config.world.panel_height_m)
     ends = np.concatenate([receivers.reshape(-1, 3), simulator.ap_position])
@@ -151,7 +152,7 @@ def _cascade_gain(simulator: Simulator, receivers: FloatArray, ris_xy: FloatArra
     ahead = (ends - panel) @ np.array([np.cos(heading), np.sin(heading), 0.0])
     cosine = ahead / np.maximum(np.linalg.norm(ends - panel, axis=-1), 1e-12)
     gain = propagation.db_to_linear(-loss_db) * propagation.element_gain(radio, cosine)
-    return (gain[-1] * gain[:-1]).reshape(receivers.shape[:-1])
+    return element_amplitudes(simulator.surface, gain[-1], gain[:-1]).reshape(receivers.shape[:-1])
 
 
 def _place_values(simulator: Simulator, places: FloatArray) -> FloatArray:

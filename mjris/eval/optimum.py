@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mjris.config import Radio
-from mjris.eval.powers import Problem, best_budgets, best_powers, given_orders, merit, scored
+from mjris.eval.gradients import Problem, arranged, merit
+from mjris.eval.powers import best_budgets, best_powers, given_orders, scored
 from mjris.radio import serving
-from mjris.radio.access import arranged
-from mjris.radio.channel import Channels, cascade, effective_channel, ris_response
-from mjris.radio.control import aligned_phases
+from mjris.radio.closed_forms import aligned_phases
+from mjris.radio.links import Channels
+from mjris.radio.surface import Surface, cascade, effective_channel, flattened
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -60,15 +61,17 @@ class _Paths(NamedTuple):
     """K, M"""
 
     @staticmethod
-    def of(links: Channels) -> "_Paths":
-        """The paths of `links`, whose only leading axis is that of the slots."""
+    def of(surface: Surface, channels: Channels) -> "_Paths":
+        """The paths of channels whose only leading axis is that of the slots."""
         return _Paths(
-            links.direct.flatten(-2)[:, None], cascade(links).transpose(-3, -2).flatten(-2), links.direct.shape[1:]
+            torch.as_tensor(channels.direct).flatten(-2)[:, None],
+            torch.as_tensor(cascade(surface, channels)).flatten(-2),
+            (channels.direct.shape[-2], channels.direct.shape[-1]),
         )
 
     def effective(self, phases: Tensor) -> Tensor:
-        """Effective channels [B, S, K, M]: `effective_channel`, with one product for all starts of a slot."""
-        return (self.direct + ris_response(phases, torch.ones(())) @ self.cascade).unflatten(-1, self.shape)
+        """Effective channels [B, S, K, M], with one product for all starts of a slot."""
+        return (self.direct + torch.exp(1j * phases) @ self.cascade).unflatten(-1, self.shape)
 
 
 def best_known(
@@ -96,18 +99,17 @@ def best_known(
     best of these half of that, by quasi-Newton ascent on the phases with QoS-first powers.
     """
     batch = channels.direct.shape[:-2]
-    loaded = channels._replace(reflected=radio.element_amplitude * channels.reflected)
-    links = Channels(*(torch.as_tensor(link).reshape(-1, *link.shape[-2:]) for link in loaded))
+    surface, links = Surface.of(radio), flattened(channels)
     phases = torch.zeros(links.incident.shape[:-1], dtype=torch.float64)
 
     def search(problem: Problem, slots: Tensor) -> Tensor:
         """Set the phases of `slots`, and return whether they meet QoS."""
         if problem.order is not None:
             problem = problem._replace(order=problem.order[slots])
-        some = Channels(*(link[slots] for link in links))
-        paths = _Paths.of(some)
+        some = Channels(*(link[slots.numpy()] for link in links))
+        paths = _Paths.of(surface, some)
         random = torch.as_tensor(rng.uniform(-np.pi, np.pi, (len(slots), random_starts, phases.shape[-1])))
-        tried = torch.cat([_informed_starts(some, problem.clusters, rng), random], 1)
+        tried = torch.cat([_informed_starts(surface, some, problem.clusters.numpy(), rng), random], 1)
         budgets = problem.full_budgets
         for steps, barrier, kept in (
             (screening_steps, _BARRIER, finalists),
@@ -123,46 +125,51 @@ def best_known(
     flat = given_orders(order, clusters)
     problem = Problem(torch.as_tensor(clusters), radio, qos_bps, flat)
     met = torch.zeros(len(phases), dtype=torch.bool)
-    for slots in filter(len, torch.nonzero(_may_meet_qos(problem, links))[:, 0].split(_SLOTS)):
+    possible = torch.as_tensor(_may_meet_qos(problem, surface, links))
+    for slots in filter(len, torch.nonzero(possible)[:, 0].split(_SLOTS)):
         met[slots] = search(problem, slots)
     # Where QoS is out of reach for somebody, the sum rate alone decides.
     for slots in filter(len, torch.nonzero(~met)[:, 0].split(_SLOTS)):
         search(problem.without_qos, slots)
-    effective = effective_channel(links, ris_response(phases, torch.ones(()))).numpy()
+    effective = effective_channel(surface, links, phases.numpy())
     given = None if flat is None else flat.numpy()
     powers = best_powers(effective, clusters, radio, qos_bps, given)
     rates = serving.rates(serving.System.of(radio, clusters, qos_bps), effective, powers, given)
     return Optimum(*(values.reshape(*batch, -1) for values in (phases.numpy(), powers, rates)))
 
 
-def _may_meet_qos(problem: Problem, links: Channels) -> Tensor:
+def _may_meet_qos(problem: Problem, surface: Surface, links: Channels) -> NDArray[np.bool_]:
     """Whether every user has QoS [B] where it alone has all of the cluster's power and all paths add up in phase."""
     radio = problem.radio
-    most = (links.direct.abs() + links.reflected.abs() @ links.incident.abs()).square().sum(-1)
+    paths = abs(cascade(surface, links)).sum(-3)
+    most = ((abs(links.direct) + paths) ** 2).sum(-1)
     snr = radio.tx_power_w / (len(problem.clusters) * radio.noise_w) * most
     bands = problem.clusters.shape[1] if radio.scheme == "oma" else 1
-    return (radio.bandwidth_hz / bands * torch.log1p(snr) / math.log(2) >= problem.qos_bps).all(-1)
+    return (radio.bandwidth_hz / bands * np.log1p(snr) / math.log(2) >= problem.qos_bps).all(-1)
 
 
-def _informed_starts(links: Channels, clusters: Tensor, rng: np.random.Generator) -> Tensor:
+def _informed_starts(surface: Surface, links: Channels, clusters: IntArray, rng: np.random.Generator) -> Tensor:
     """Phases [B, S, N] aligned to each user, to all, and for and against one user of each cluster."""
     num_clusters, size = clusters.shape
-    users = torch.eye(clusters.numel(), dtype=torch.float64)
+    users = np.eye(clusters.size)
     if size**num_clusters <= _MOST_CHOICES:
-        places = torch.cartesian_prod(*[torch.arange(size)] * num_clusters).reshape(-1, num_clusters)
+        places = np.stack(np.meshgrid(*[np.arange(size)] * num_clusters, indexing="ij"), -1).reshape(-1, num_clusters)
     else:
-        places = torch.as_tensor(rng.integers(size, size=(_MOST_CHOICES, num_clusters)))
-    chosen = users[clusters[torch.arange(num_clusters), places]].sum(-2)
+        places = rng.integers(size, size=(_MOST_CHOICES, num_clusters))
+    chosen = users[clusters[np.arange(num_clusters), places]].sum(-2)
     # A cluster's beam follows its strongest user: which one that is, the phases choose by pushing others down.
-    strength = torch.linalg.vecdot(links.direct, links.direct).real[:, None]
-    weights = torch.cat(torch.broadcast_tensors(2 * chosen - 1, (2 * chosen - 1) / _nonzero(strength), chosen - 1), 1)
-    toward = torch.cat([users, users.sum(0, keepdim=True)])
-    return torch.cat(
-        [
-            aligned_phases(_repeated(links, len(toward)), toward),
-            aligned_phases(_repeated(links, weights.shape[1]), weights, iterations=0),
-        ],
-        1,
+    strength = (abs(links.direct) ** 2).sum(-1)[:, None]
+    against = (2 * chosen - 1) / np.where(strength == 0, 1.0, strength)
+    weights = np.concatenate(np.broadcast_arrays(2 * chosen - 1, against, chosen - 1), 1)
+    toward = np.concatenate([users, users.sum(0, keepdims=True)])
+    return torch.as_tensor(
+        np.concatenate(
+            [
+                aligned_phases(surface, _repeated(links, len(toward)), toward),
+                aligned_phases(surface, _repeated(links, weights.shape[1]), weights, iterations=0),
+            ],
+            1,
+        )
     )
 
 
@@ -234,8 +241,8 @@ def _lead(problem: Problem, channel: Tensor) -> Tensor:
 
 
 def _repeated(channels: Channels, count: int) -> Channels:
-    """Channels [B, ...] of slots as [B, count, ...], without a copy."""
-    return Channels(*(link[:, None].expand(-1, count, -1, -1) for link in channels))
+    """Channels [B, ...] of slots as [B, count, ...]."""
+    return Channels(*(np.broadcast_to(link[:, None], (len(link), count, *link.shape[1:])) for link in channels))
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:

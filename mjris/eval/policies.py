@@ -12,7 +12,7 @@ from mjris.config import Config
 from mjris.eval.optimum import best_known
 from mjris.eval.powers import best_powers
 from mjris.planning.radio_map import best_goals
-from mjris.radio.channel import Channels
+from mjris.radio.links import Channels
 from mjris.simulation.scene import Controls
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import Purpose, generator
@@ -101,7 +101,7 @@ def no_ris() -> Policy:
             powers = best_powers(channels.direct, simulator.clusters, config.radio, qos_bps, order)
             return np.zeros((simulator.num_cells, config.radio.num_elements)), powers
 
-        return Controls(parked(simulator), *tune(simulator.scene.channels), retune=tune)
+        return Controls(parked(simulator), *tune(simulator.scene.known), retune=tune)
 
     return Policy("no RIS, best powers", controls, {"task": {"ris": "none"}})
 
@@ -121,7 +121,7 @@ def planner(seed: int) -> Policy:
             best = best_known(channels, simulator.clusters, config.radio, qos_bps, rng, order)
             return best.phases_rad, best.powers_w
 
-        return Controls(planned(simulator), *tune(simulator.scene.channels), retune=tune)
+        return Controls(planned(simulator), *tune(simulator.scene.known), retune=tune)
 
     return Policy("planner", controls, {"task": {"ris": "mobile"}})
 

@@ -11,6 +11,7 @@ from mjris.jit.compiled import compiled
 from mjris.radio.decoding import ascending
 from mjris.radio.equations import cancelled_sinr, needed_share, qos_power_w, rate_bps
 from mjris.radio.serving import System
+from mjris.radio.surface import Surface, element_amplitude
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
@@ -21,13 +22,12 @@ class Arrays(NamedTuple):
 
     antennas: int
     elements: int
-    amplitude: float
-    """Modulus of an element's coefficient."""
+    surface: Surface
 
     @classmethod
     def of(cls, radio: Radio) -> "Arrays":
         """With the numbers of a config."""
-        return cls(radio.num_antennas, radio.num_elements, radio.element_amplitude)
+        return cls(radio.num_antennas, radio.num_elements, Surface.of(radio))
 
 
 def predicted_rates(
@@ -79,7 +79,7 @@ def with_panel(system: System, arrays: Arrays, direct: FloatArray, incident: Flo
     for k in range(len(direct)):
         alone, gains = math.sqrt(direct[k]), reflected[k]
         for p in range(len(gains)):
-            one_element = math.sqrt(incident[p] * gains[p]) * arrays.amplitude
+            one_element = element_amplitude(arrays.surface, incident[p], gains[p])
             coherent, scattered = alone + in_phase * one_element, (arrays.elements - in_phase) * one_element**2
             gains[p] = (coherent * coherent + scattered) / system.noise_w
 

@@ -1,4 +1,7 @@
-"""Zero-forced beams of one cell, compiled, and what users receive over beams."""
+"""Beams, from what is known of the channels, and what users receive over beams.
+
+Rows of a channel are received as h g, without conjugation.
+"""
 
 import math
 
@@ -6,38 +9,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.jit.compiled import compiled
-from mjris.radio.access import REGULAR, SINGULAR
 
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
 
+SINGULAR, REGULAR = 1e-13, 1e-7
+"""Channels whose matrix of inner products has a pivot below the first are taken for dependent, and have the second
+added to its diagonal."""
+
 
 @compiled
-def cluster_beams(channel: ComplexArray, clusters: IntArray) -> ComplexArray:
-    """The beam of every cluster of `clusters` [V, K/V], zero-forced on its strongest user, eq. (ZFNOMA): [V, M]."""
+def cluster_beams(known: ComplexArray, clusters: IntArray) -> ComplexArray:
+    """The beam of every user [K, M]: that of its cluster of `clusters` [V, K/V], eqs. (xuNOMA), (ZFNOMA).
+
+    Zero-forced on the strongest user of each cluster by the channels [K, M] that are known.
+    """
     heads = clusters[:, 0].copy()
     for v in range(len(heads)):
         for user in clusters[v]:
-            if strength(channel, user) > strength(channel, heads[v]):
+            if strength(known, user) > strength(known, heads[v]):
                 heads[v] = user
-    return _zero_forcing(channel, heads)
-
-
-@compiled
-def band_beams(channel: ComplexArray, clusters: IntArray) -> ComplexArray:
-    """The beam of every user [K, M], zero-forced among those of its band, a column of `clusters` [V, K/V]."""
-    beams = np.empty_like(channel)
-    for band in range(clusters.shape[1]):
-        own = _zero_forcing(channel, clusters[:, band])
-        for place in range(len(own)):
-            for m in range(own.shape[1]):
-                beams[clusters[place, band], m] = own[place, m]
+    of_heads = zero_forcing(known, heads)
+    beams = np.empty_like(known)
+    for v in range(len(heads)):
+        for user in clusters[v]:
+            beams[user] = of_heads[v]
     return beams
 
 
 @compiled
-def _zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
-    """`access.zero_forcing` of some users: their beams as rows [S, M], eq. (ZF)."""
+def band_beams(known: ComplexArray, clusters: IntArray) -> ComplexArray:
+    """The beam of every user [K, M], zero-forced among those of its band, a column of `clusters` [V, K/V]."""
+    beams = np.empty_like(known)
+    for band in range(clusters.shape[1]):
+        own = zero_forcing(known, clusters[:, band])
+        for place in range(len(own)):
+            beams[clusters[place, band]] = own[place]
+    return beams
+
+
+@compiled
+def zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
+    """Unit-norm beams [S, M] of some users, each of which nulls the channels of the others, eq. (ZF).
+
+    The paper's G = H (HᴴH)⁻¹ normalises the received gain to one instead, which would make the transmit power depend
+    on the channel; with unit norm the powers are what is transmitted. No beam can tell linearly dependent rows
+    apart: theirs are the regularised ones, (H Hᴴ + ε I)⁻¹ H for rows of norm one, for equal rows the matched filter.
+    """
     beams = np.empty((len(users), channel.shape[1]), np.complex128)
     if not _eliminated(channel, users, 0.0, beams):
         _eliminated(channel, users, REGULAR, beams)
@@ -52,6 +70,7 @@ def _zero_forcing(channel: ComplexArray, users: IntArray) -> ComplexArray:
 def _eliminated(channel: ComplexArray, users: IntArray, added: float, beams: ComplexArray) -> bool:
     """Write (H Hᴴ + ε I)⁻¹ H to `beams` [S, M] for unit rows H; False where rows are dependent and ε = 0.
 
+    The scale of a row does not change the beams; unit rows keep users with very different losses well conditioned.
     Gauss and Jordan's elimination; a matrix of inner products needs no pivots.
     """
     size, antennas = beams.shape

@@ -11,15 +11,15 @@ IntArray = NDArray[np.int64]
 
 
 @compiled
-def qos_first(gains: FloatArray, order: IntArray, budget: float, needed: FloatArray, powers: FloatArray) -> None:
+def qos_first(gains: FloatArray, order: IntArray, budgets: FloatArray, needed: FloatArray, powers: FloatArray) -> None:
     """Write powers [K] [W] to `powers`: in decoding order what a user's rate takes, and the rest to the last one.
 
-    Of the `budget` [W] of each cluster, with users decoded in `order` [V, K/V]. `gains` [K] [1/W] are those that count
+    Of the `budgets` [V] [W] of clusters, with users decoded in `order` [V, K/V]. `gains` [K] [1/W] are those that count
     in this order, see `decodable`, and `needed` [K] the users' `needed_share`. This has the highest sum rate with these
     rates; who cannot have his gets nothing.
     """
     for v in range(len(order)):
-        left = budget
+        left = budgets[v]
         for place in range(order.shape[1] - 1):
             user = int(order[v, place])
             powers[user] = qos_power_w(gains[user], left, needed[user])

@@ -9,12 +9,25 @@ from numpy.typing import NDArray
 from mjris.jit import vectors
 from mjris.jit.compiled import compiled
 from mjris.radio import equations
-from mjris.radio.channel import Channels
 from mjris.radio.tables import LinkTable
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
+
+
+class Channels(NamedTuple):
+    """Complex amplitude gains of the three links; path loss, patterns and fading included, but nothing of the surface.
+
+    The N elements of all panels follow each other.
+    """
+
+    direct: ComplexArray
+    """h_d, AP to users [..., K, M]."""
+    incident: ComplexArray
+    """G, AP to elements [..., N, M]."""
+    reflected: ComplexArray
+    """h_r, elements to users [..., K, N]."""
 
 
 class Links:

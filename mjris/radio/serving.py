@@ -1,7 +1,6 @@
-"""What users get in a slot, and the closed forms for powers, compiled cell by cell.
+"""What users get in a slot, and the closed forms for powers.
 
-`access` says the same for arrays of any library. There a slot of one cell takes hundreds of operations on a few numbers
-each, which cost many times the arithmetic.
+Beams, decoding orders and powers follow from the channels that are known; rates are those of the channels that are.
 """
 
 from typing import NamedTuple
@@ -48,33 +47,67 @@ class System(NamedTuple):
         return np.full((cells, *self.clusters.shape), -1)
 
 
-def rates(system: System, channel: ComplexArray, powers_w: FloatArray, order: IntArray | None = None) -> FloatArray:
-    """Rates [..., K] [bit/s] for effective channels [..., K, M] and powers [..., K] [W].
+def rates(
+    system: System,
+    channel: ComplexArray,
+    powers_w: FloatArray,
+    order: IntArray | None = None,
+    known: ComplexArray | None = None,
+) -> FloatArray:
+    """Rates [..., K] [bit/s] over effective channels [..., K, M], for powers [..., K] [W].
 
-    `access.noma_rates`, in the given decoding order [..., V, K/V] or that of the slot's gains, or `access.oma_rates`;
-    an order may be `System.no_order` in some of the cells. Raises `ValueError` for a negative power.
+    Beams, and the decoding order where none is given, follow from the channels that are `known`, by default the very
+    same. `order` [B, V, K/V] is that of every cell, or negative: `System.no_order`. Raises `ValueError` for a negative
+    power.
     """
     if not (powers_w >= 0).all():
         raise ValueError(f"power_w: {powers_w} is not allowed: every power must be at least 0 W")
-    flat = _flat(channel, 2)
-    order = _orders(system, len(flat), order)
-    return _rates(system, flat, _flat(_filling(powers_w, channel.shape[:-1]), 1), order).reshape(channel.shape[:-1])
+    flat, shape = _flat(channel, 2), channel.shape[:-1]
+    beams_from = flat if known is None else _flat(known, 2)
+    found = _rates(system, flat, beams_from, _flat(_filling(powers_w, shape), 1), _orders(system, len(flat), order))
+    return found.reshape(shape)
+
+
+def decoding_order(system: System, known: ComplexArray, powers_w: FloatArray) -> IntArray:
+    """Users of every cluster from first decoded to last [E, V, K/V], by gain over known channels [E, K, M]."""
+    return _all_orders(system, np.ascontiguousarray(known), powers_w)
+
+
+def effective_gains(system: System, channel: ComplexArray, known: ComplexArray, powers_w: FloatArray) -> FloatArray:
+    """e_k = |h_k g_v|² / (inter-cluster interference + noise) of every user [E, K] [1/W], eq. (SINROMA), with NOMA.
+
+    Over channels [E, K, M] with beams that follow from `known` ones.
+    """
+    return _all_gains(system, np.ascontiguousarray(channel), np.ascontiguousarray(known), powers_w)
 
 
 def qos_or_sum(
-    system: System, channel: ComplexArray, wanted_bps: FloatArray | None = None, order: IntArray | None = None
+    system: System, known: ComplexArray, wanted_bps: FloatArray | None = None, order: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Powers [..., K] [W] for effective channels [..., K, M], and their rates [..., K] [bit/s]: the most in eq. (R).
+    """Powers [..., K] [W] for known channels [..., K, M], and the rates [..., K] [bit/s] that they promise.
 
-    Those of `control.qos_first_powers` where they give every user its QoS: for `wanted_bps` [..., K] >= QoS if that can
-    be had, or else for the QoS itself. If not, it is missed anyhow, and only the sum counts: then the strongest user of
-    a cluster has all of its power. With OMA every user has P/K; a scheduler that selects gives a cluster's all to its
-    strongest user where somebody has no QoS and that gives more. `order` as in `rates`.
+    The most in eq. (R) with a budget of P/V for each cluster: QoS-first powers where they give every user its QoS, for
+    `wanted_bps` [..., K] >= QoS if that can be had, or else for the QoS itself. If not, it is missed anyhow, and only
+    the sum counts: then the strongest user of a cluster has all of its power. With OMA every user has P/K; a scheduler
+    that selects gives a cluster's all to its strongest user where somebody has no QoS and that gives more. `order` as
+    in `rates`; in one that is not that of the gains a user has the gain of the weakest that decodes its signal.
     """
-    shape, flat = channel.shape[:-1], _flat(channel, 2)
+    shape, flat = known.shape[:-1], _flat(known, 2)
     wanted = np.full(shape, system.qos_bps) if wanted_bps is None else _filling(wanted_bps, shape)
     powers, reached = _serve_all(system, flat, _flat(wanted, 1), _orders(system, len(flat), order))
     return powers.reshape(shape), reached.reshape(shape)
+
+
+def qos_first_powers(
+    system: System, known: ComplexArray, budgets_w: FloatArray, order: IntArray | None = None
+) -> FloatArray:
+    """Powers [..., K] [W] of clusters that spend `budgets_w` [..., V] [W], for known channels [..., K, M] and NOMA.
+
+    QoS first, then the last decoded has the rest; without QoS all goes to the strongest user in any order.
+    """
+    flat = _flat(known, 2)
+    budgets = _flat(_filling(budgets_w, (*known.shape[:-2], len(system.clusters))), 1)
+    return _all_qos_first(system, flat, budgets, _orders(system, len(flat), order)).reshape(known.shape[:-1])
 
 
 def _orders(system: System, cells: int, order: IntArray | None) -> IntArray:
@@ -88,7 +121,10 @@ def _orders(system: System, cells: int, order: IntArray | None) -> IntArray:
 
 @compiled
 def split_powers(system: System, shares: FloatArray) -> FloatArray:
-    """`control.split_powers` of shares [E, K]: powers [E, K] [W]."""
+    """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have, eq. (OPPE), in all P_max at most.
+
+    With NOMA a cluster has P/V, and shares that add up to more than one are scaled down to it; with OMA a user has P/K.
+    """
     powers = np.empty(shares.shape)
     for cell in range(len(shares)):
         for v in range(len(system.clusters)):
@@ -114,20 +150,49 @@ def _flat(values: np.ndarray, axes: int) -> np.ndarray:
 
 
 @compiled
-def _rates(system: System, channel: ComplexArray, powers: FloatArray, order: IntArray) -> FloatArray:
+def _rates(
+    system: System, channel: ComplexArray, known: ComplexArray, powers: FloatArray, order: IntArray
+) -> FloatArray:
     found = np.empty(powers.shape)
     for cell in range(len(channel)):
         if system.oma and not (system.selects and _selected(system, powers[cell])):
-            found[cell] = _oma(system, channel[cell], band_beams(channel[cell], system.clusters), powers[cell])
+            found[cell] = _oma(system, channel[cell], band_beams(known[cell], system.clusters), powers[cell])
         else:
-            budgets = np.zeros(len(system.clusters))
-            for v in range(len(budgets)):
-                for user in system.clusters[v]:
-                    budgets[v] += powers[cell, user]
-            gains = _effective_gains(system, channel[cell], cluster_beams(channel[cell], system.clusters), budgets)
-            decoded = order[cell] if order[cell, 0, 0] >= 0 else ascending(system.clusters, gains)
+            beams, budgets = cluster_beams(known[cell], system.clusters), _spent(system, powers[cell])
+            decoded = order[cell]
+            if decoded[0, 0] < 0:
+                decoded = ascending(system.clusters, gains_over(system, known[cell], beams, budgets))
+            gains = gains_over(system, channel[cell], beams, budgets)
             cancelled(system.bandwidth_hz, gains, powers[cell], decoded, found[cell])
     return found
+
+
+@compiled
+def _all_orders(system: System, known: ComplexArray, powers: FloatArray) -> IntArray:
+    gains = _all_gains(system, known, known, powers)
+    orders = np.empty((len(known), *system.clusters.shape), np.int64)
+    for cell in range(len(known)):
+        orders[cell] = ascending(system.clusters, gains[cell])
+    return orders
+
+
+@compiled
+def _all_gains(system: System, channel: ComplexArray, known: ComplexArray, powers: FloatArray) -> FloatArray:
+    gains = np.empty(powers.shape)
+    for cell in range(len(channel)):
+        beams = cluster_beams(known[cell], system.clusters)
+        gains[cell] = gains_over(system, channel[cell], beams, _spent(system, powers[cell]))
+    return gains
+
+
+@compiled
+def _spent(system: System, powers: FloatArray) -> FloatArray:
+    """What clusters spend [V] [W]."""
+    budgets = np.zeros(len(system.clusters))
+    for v in range(len(budgets)):
+        for user in system.clusters[v]:
+            budgets[v] += powers[user]
+    return budgets
 
 
 @compiled
@@ -144,29 +209,29 @@ def _selected(system: System, powers: FloatArray) -> bool:
 
 @compiled
 def _serve_all(
-    system: System, channel: ComplexArray, wanted: FloatArray, order: IntArray
+    system: System, known: ComplexArray, wanted: FloatArray, order: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     powers, reached = np.empty(wanted.shape), np.empty(wanted.shape)
-    for cell in range(len(channel)):
-        powers[cell], reached[cell], _ = serve(system, channel[cell], wanted[cell], order[cell])
+    for cell in range(len(known)):
+        powers[cell], reached[cell], _ = serve(system, known[cell], wanted[cell], order[cell])
     return powers, reached
 
 
 @compiled
 def serve(
-    system: System, channel: ComplexArray, wanted: FloatArray, order: IntArray
+    system: System, known: ComplexArray, wanted: FloatArray, order: IntArray
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Powers and rates [K] of `qos_or_sum` in one cell, and the beam of every user [K, M].
 
     In a decoding order [V, K/V], or that of the gains if it begins with a negative number.
     """
     if not system.oma:
-        return _serve_noma(system, channel, wanted, order, system.qos_bps)
-    beams = band_beams(channel, system.clusters)
-    powers = np.full(len(channel), system.tx_power_w / len(channel))
-    reached = _oma(system, channel, beams, powers)
+        return _serve_noma(system, known, wanted, order, system.qos_bps)
+    beams = band_beams(known, system.clusters)
+    powers = np.full(len(known), system.tx_power_w / len(known))
+    reached = _oma(system, known, beams, powers)
     if system.selects and reached.min() < system.qos_bps:
-        alone = _serve_noma(system, channel, wanted, order, 0.0)
+        alone = _serve_noma(system, known, wanted, order, 0.0)
         if alone[1].sum() > reached.sum():
             return alone
     return powers, reached, beams
@@ -174,56 +239,66 @@ def serve(
 
 @compiled
 def _serve_noma(
-    system: System, channel: ComplexArray, wanted: FloatArray, order: IntArray, qos_bps: float
+    system: System, known: ComplexArray, wanted: FloatArray, order: IntArray, qos_bps: float
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """`serve` with superposed users, who are to have `qos_bps`."""
-    users = len(channel)
-    heads = cluster_beams(channel, system.clusters)
-    budget = system.tx_power_w / len(system.clusters)
-    gains = _effective_gains(system, channel, heads, np.full(len(heads), budget))
+    beams = cluster_beams(known, system.clusters)
+    budgets = np.full(len(system.clusters), system.tx_power_w / len(system.clusters))
+    gains = gains_over(system, known, beams, budgets)
     by_gain = ascending(system.clusters, gains)
     decoded = order if order[0, 0] >= 0 else by_gain
-    shares, powers, reached = np.empty(users), np.empty(users), np.empty(users)
-    if qos_bps > 0:
-        least = decodable(gains, decoded)
-        for user in range(users):
-            shares[user] = needed_share(system.bandwidth_hz, wanted[user])
-        qos_first(least, decoded, budget, shares, powers)
-        cancelled(system.bandwidth_hz, gains, powers, decoded, reached)
-        if reached.min() < qos_bps:
-            shares[:] = needed_share(system.bandwidth_hz, qos_bps)
-            qos_first(least, decoded, budget, shares, powers)
+    least = decodable(gains, decoded)
+    powers, reached = np.empty(len(known)), np.full(len(known), -np.inf)
+    for asked in (wanted, np.full(len(known), qos_bps)):
+        if qos_bps > 0 and reached.min() < qos_bps:
+            qos_first(least, decoded, budgets, _needed(system, asked), powers)
             cancelled(system.bandwidth_hz, gains, powers, decoded, reached)
     if qos_bps == 0 or reached.min() < qos_bps:
         # All to the strongest ones; who is sent nothing decodes for nobody, so that no order matters.
-        shares[:] = 0
-        qos_first(gains, by_gain, budget, shares, powers)
+        qos_first(gains, by_gain, budgets, np.zeros(len(known)), powers)
         cancelled(system.bandwidth_hz, gains, powers, by_gain, reached)
-    beams = np.empty_like(channel)
-    for v in range(len(heads)):
-        for user in system.clusters[v]:
-            for m in range(heads.shape[1]):
-                beams[user, m] = heads[v, m]
     return powers, reached, beams
 
 
 @compiled
-def _effective_gains(system: System, channel: ComplexArray, beams: ComplexArray, budgets: FloatArray) -> FloatArray:
-    """`access.effective_gains` [K] for beams [V, M] of clusters that transmit `budgets` [V] [W]."""
+def _needed(system: System, wanted_bps: FloatArray) -> FloatArray:
+    """`needed_share` of every user's rate [K]."""
+    needed = np.empty(len(wanted_bps))
+    for user in range(len(needed)):
+        needed[user] = needed_share(system.bandwidth_hz, wanted_bps[user])
+    return needed
+
+
+@compiled
+def _all_qos_first(system: System, known: ComplexArray, budgets: FloatArray, order: IntArray) -> FloatArray:
+    powers = np.empty(known.shape[:2])
+    for cell in range(len(known)):
+        gains = gains_over(system, known[cell], cluster_beams(known[cell], system.clusters), budgets[cell])
+        decoded = ascending(system.clusters, gains)
+        if system.qos_bps > 0 and order[cell, 0, 0] >= 0:
+            decoded = order[cell]
+        needed = _needed(system, np.full(known.shape[1], system.qos_bps))
+        qos_first(decodable(gains, decoded), decoded, budgets[cell], needed, powers[cell])
+    return powers
+
+
+@compiled
+def gains_over(system: System, channel: ComplexArray, beams: ComplexArray, budgets: FloatArray) -> FloatArray:
+    """`effective_gains` [K] over the users' beams [K, M], for clusters that spend `budgets` [V] [W]."""
     gains = np.empty(len(channel))
-    for v in range(len(beams)):
+    for v in range(len(system.clusters)):
         for user in system.clusters[v]:
             interference = system.noise_w
-            for other in range(len(beams)):
+            for other in range(len(system.clusters)):
                 if other != v:
-                    interference += received(channel, user, beams, other) * budgets[other]
-            gains[user] = received(channel, user, beams, v) / interference
+                    interference += received(channel, user, beams, system.clusters[other, 0]) * budgets[other]
+            gains[user] = received(channel, user, beams, user) / interference
     return gains
 
 
 @compiled
 def _oma(system: System, channel: ComplexArray, beams: ComplexArray, powers: FloatArray) -> FloatArray:
-    """`access.oma_rates` [K] for the beams of the users [K, M]."""
+    """Rates [K] [bit/s] with OMA over the users' beams [K, M]; bands share the noise."""
     found = np.empty(len(channel))
     bands = system.clusters.shape[1]
     for band in range(bands):

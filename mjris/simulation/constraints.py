@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.jit.compiled import compiled
-from mjris.radio import access
+from mjris.radio import serving
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -74,12 +74,13 @@ def ascending(gains: FloatArray, powers_w: FloatArray, order: IntArray) -> BoolA
 
 def evaluate(
     config: Config,
-    clusters: IntArray,
+    system: serving.System,
     *,
     rover_xy: FloatArray,
     hull_radius_m: float,
     room_m: FloatArray,
     effective: NDArray[np.complexfloating],
+    known: NDArray[np.complexfloating],
     powers_w: FloatArray,
     order: IntArray | None,
     rates_bps: FloatArray,
@@ -88,17 +89,16 @@ def evaluate(
     """The constraints of a slot in E cells.
 
     `rover_xy` [E, 2] [m] is where the slot left the rover, `room_m` [E, 2] [m] the room's size, `effective` [E, K, M]
-    and `powers_w` [E, K] [W] what was transmitted, `rates_bps` [E, K] [bit/s] what came of it. `order` [E, V, K/V] is
-    a decoding order that was fixed beforehand; None is OMA or the order of the slot's own gains, which ascend by its
-    definition.
+    the channels and `known` what beams followed from, `powers_w` [E, K] [W] what was transmitted, `rates_bps` [E, K]
+    [bit/s] what came of it. `order` [E, V, K/V] is a decoding order that was fixed beforehand; None is OMA or the order
+    of the slot's own gains, which ascend by its definition.
     """
     radio = config.radio
     ordered = np.ones(len(rates_bps), np.bool_)
     if order is not None:
-        cluster_w = powers_w[:, clusters].sum(-1)
-        ordered = ascending(access.effective_gains(effective, cluster_w, clusters, radio.noise_w), powers_w, order)
+        ordered = ascending(serving.effective_gains(system, effective, known, powers_w), powers_w, order)
     # A scheduler that selects users may give one all that its cluster has.
-    groups = clusters.reshape(-1, 1) if radio.scheme == "oma" and not radio.oma_selection else clusters
+    groups = system.clusters.reshape(-1, 1) if radio.scheme == "oma" and not radio.oma_selection else system.clusters
     most_w = radio.tx_power_w / len(groups) * (1 + _ROUNDING)
     in_room, power, qos = _kept(
         rover_xy, hull_radius_m, room_m, powers_w, groups, most_w, rates_bps, config.task.qos_bps

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mjris.jit.compiled import compiled
 from mjris.planning.radio_map import place_values
-from mjris.radio.channel import Channels
+from mjris.radio.links import Channels
 from mjris.simulation.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
@@ -30,10 +30,10 @@ _GAIN_SCALE = 5
 def channel_state(simulator: Simulator) -> Seen:
     """The paper's state, eq. (S), [E, D]: positions, path losses, and fading with the path loss taken out."""
     scene = simulator.scene
-    users, (elements, antennas) = scene.users_xy.shape[1], scene.channels.incident.shape[1:]
+    users, (elements, antennas) = scene.users_xy.shape[1], scene.known.incident.shape[1:]
     width = 4 + 4 * users + 1 + 2 * (users * antennas + elements * antennas + users * elements)
     seen = np.empty((simulator.num_cells, width), np.float32)
-    _write_channel_state(seen, *_geometry(simulator), scene.channels)
+    _write_channel_state(seen, *_geometry(simulator), scene.known)
     return seen
 
 
@@ -50,7 +50,7 @@ def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) 
     width = 4 + 8 * scene.users_xy.shape[1] + 1 + len(_AROUND) + len(_CIRCLE) + 3
     seen = np.empty((simulator.num_cells, width), np.float32)
     values_bps = place_values(simulator, around)
-    _write_radio_map(seen, *_geometry(simulator), scene.channels, values_bps, free, goal, promised_bps)
+    _write_radio_map(seen, *_geometry(simulator), scene.known, values_bps, free, goal, promised_bps)
     return seen
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.radio import channel
+from mjris.radio.links import Channels
 from mjris.simulation.constraints import Constraints
 
 FloatArray = NDArray[np.floating]
@@ -31,12 +31,14 @@ class Scene:
     """Obstacles on every link [E, 2K + 1]."""
     path_loss_db: FloatArray
     """Of every link [E, 2K + 1] [dB]."""
-    channels: channel.Channels
-    """h_d [E, K, M], G [E, N, M], h_r [E, K, N]."""
+    channels: Channels
+    """h_d [E, K, M], G [E, N, M], h_r [E, K, N]: what rates follow from."""
+    known: Channels
+    """What is known of them: what beams, phases, powers and observations follow from."""
 
 
-Retune = Callable[[channel.Channels], tuple[FloatArray, FloatArray]]
-"""Phases [E, N] [rad] and powers [E, K] [W] for channels."""
+Retune = Callable[[Channels], tuple[FloatArray, FloatArray]]
+"""Phases [E, N] [rad] and powers [E, K] [W] for known channels."""
 
 
 class Controls(NamedTuple):
@@ -65,7 +67,7 @@ class Slot:
     """[E, K]"""
     bare_rates_bps: FloatArray
     """What the same slot gives without RIS under the reference powers, in the order of its gains [E, K] [bit/s]."""
-    channels: tuple[channel.Channels, ...]
+    channels: tuple[Channels, ...]
     """Over which it transmitted in every part, of which rates are means: one, unless phases are held."""
     displacement_m: FloatArray
     """How far each rover got [E, 2] [m]."""

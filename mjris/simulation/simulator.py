@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.radio import access, alignment, channel, fading, links, serving
+from mjris.radio import closed_forms, fading, links, serving
+from mjris.radio.surface import Surface, effective_channel
 from mjris.radio.tables import LinkTable
 from mjris.simulation.checks import checked
 from mjris.simulation.constraints import evaluate
@@ -30,9 +31,11 @@ class _Sent(NamedTuple):
     bare_rates_bps: FloatArray
     effective: ComplexArray
     """As the slot began."""
+    known: ComplexArray
+    """What was known of it then."""
     order: IntArray | None
     """The one that was fixed before."""
-    channels: tuple[channel.Channels, ...]
+    channels: tuple[links.Channels, ...]
 
 
 class Simulator:
@@ -52,7 +55,7 @@ class Simulator:
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
         self.system = serving.System.of(radio, self.clusters, config.task.qos_bps)
-        self.link_table = LinkTable.of(radio)
+        self.link_table, self.surface = LinkTable.of(radio), Surface.of(radio)
         self.links = links.Links(k, 1)
         """Which links there are: the axes [L] of the scene."""
         self._panel_sizes = np.array([[radio.panel_rows, radio.panel_cols]])
@@ -137,11 +140,12 @@ class Simulator:
             collisions=motion.collisions,
             constraints=evaluate(
                 self.config,
-                self.clusters,
+                self.system,
                 rover_xy=self.scene.rover_xy,
                 hull_radius_m=self.world.hull_radius_m,
                 room_m=self.room_m,
                 effective=sent.effective,
+                known=sent.known,
                 powers_w=powers_w,
                 order=sent.order,
                 rates_bps=sent.rates_bps,
@@ -155,72 +159,81 @@ class Simulator:
     ) -> "_Sent":
         """What is sent in the parts of a slot, which are its ticks' beginnings, or its beginning alone."""
         updates, ticks = self.config.task.phase_updates_per_slot, self.config.world.ticks_per_slot
-        first = self.effective_channel(phases_rad)
-        order = self._fix_order(first, powers_w)
-        bare_powers, bare_rates = self.reference_powers(parts[0].channels.direct)
+        first, known = self._effective(phases_rad, parts[0])
+        order = self._fix_order(known, powers_w)
+        bare_powers, _ = self.reference_powers(parts[0].known.direct)
         if updates == 0:
-            rates = self.rates(first, powers_w, self.order)
-            return _Sent(rates, bare_rates, first, order, (parts[0].channels,))
+            rates = self.rates(first, powers_w, self.order, known)
+            bare_rates = self.rates(parts[0].channels.direct, bare_powers, known=parts[0].known.direct)
+            return _Sent(rates, bare_rates, first, known, order, (parts[0].channels,))
         # The last scene is that of the next slot's beginning.
         parts = parts[:ticks]
         rates, bare_rates = np.zeros(powers_w.shape), np.zeros(powers_w.shape)
         for tick, part in enumerate(parts):
             if tick and tick % (ticks // updates) == 0:
-                bare_powers, _ = self.reference_powers(part.channels.direct)
+                bare_powers, _ = self.reference_powers(part.known.direct)
                 if retune is not None:
-                    phases_rad, powers_w = retune(part.channels)
-            effective = first if tick == 0 else self.effective_channel(phases_rad, part.channels)
-            rates += self.rates(effective, powers_w, self.order) / len(parts)
-            bare_rates += self.rates(part.channels.direct, bare_powers) / len(parts)
-        return _Sent(rates, bare_rates, first, order, tuple(part.channels for part in parts))
+                    phases_rad, powers_w = retune(part.known)
+            effective, promised = self._effective(phases_rad, part)
+            rates += self.rates(effective, powers_w, self.order, promised) / len(parts)
+            bare_rates += self.rates(part.channels.direct, bare_powers, known=part.known.direct) / len(parts)
+        return _Sent(rates, bare_rates, first, known, order, tuple(part.channels for part in parts))
 
     def _between(self, fresh: ComplexArray, share: float) -> ComplexArray:
         """Diffuse fading when a share of the slot is over, on the arc to that of the next slot; its power stays one."""
         return fading.evolve(self._diffuse, fresh, math.cos(share * math.acos(self.config.radio.fading_memory)))
 
-    def effective_channel(self, phases_rad: FloatArray, channels: channel.Channels | None = None) -> ComplexArray:
-        """H [E, K, M] for phases [E, N] [rad], without the RIS where the task has none; by default of the scene."""
-        channels = channels or self.scene.channels
+    def _effective(self, phases_rad: FloatArray, scene: Scene) -> tuple[ComplexArray, ComplexArray]:
+        """The effective channels [E, K, M], and what is known of them."""
+        effective = self.effective_channel(phases_rad, scene.channels)
+        same = scene.known is scene.channels
+        return effective, effective if same else self.effective_channel(phases_rad, scene.known)
+
+    def effective_channel(self, phases_rad: FloatArray, channels: links.Channels | None = None) -> ComplexArray:
+        """H [E, K, M] for phases [E, N] [rad], without the RIS where the task has none; by default what is known."""
+        channels = channels or self.scene.known
         if self.config.task.ris == "none":
             return channels.direct
-        response = channel.ris_response(phases_rad, self.config.radio.element_amplitude)
-        return channel.effective_channel(channels, response)
+        return effective_channel(self.surface, channels, phases_rad)
 
-    def rates(self, effective: ComplexArray, powers_w: FloatArray, order: IntArray | None = None) -> FloatArray:
-        """Rates [..., K] [bit/s] for effective channels [..., K, M] and powers [..., K] [W]."""
-        return serving.rates(self.system, effective, powers_w, order)
+    def rates(
+        self,
+        effective: ComplexArray,
+        powers_w: FloatArray,
+        order: IntArray | None = None,
+        known: ComplexArray | None = None,
+    ) -> FloatArray:
+        """Rates [..., K] [bit/s] over effective channels [..., K, M] for powers [..., K] [W]: `serving.rates`."""
+        return serving.rates(self.system, effective, powers_w, order, known)
 
     def reference_powers(
         self, effective: ComplexArray, wanted_bps: FloatArray | None = None, order: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Closed-form powers [..., K] [W] for channels [..., K, M], and their rates [..., K]: `serving.qos_or_sum`."""
+        """Closed-form powers [..., K] [W] for known channels [..., K, M], and what they promise: `qos_or_sum`."""
         return serving.qos_or_sum(self.system, effective, wanted_bps, order)
 
     def split_powers(self, shares: FloatArray) -> FloatArray:
-        """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `control.split_powers`."""
+        """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `serving.split_powers`."""
         return serving.split_powers(self.system, checked("shares", shares, (self.num_cells, self.clusters.size)))
 
-    def reference_phases(
-        self, weights: FloatArray | None = None, channels: channel.Channels | None = None
-    ) -> FloatArray:
+    def reference_phases(self, weights: FloatArray | None = None, channels: links.Channels | None = None) -> FloatArray:
         """Closed-form phases [E, N] [rad] for user weights [E, K]: `qos_aligned_phases` in the cells' decoding order.
 
-        For the present scene's channels by default.
+        For what is known of the present scene by default.
         """
         if weights is not None:
             weights = checked("weights", weights, (self.num_cells, self.clusters.size))
-        channels = channels or self.scene.channels
-        channels = channels._replace(reflected=self.config.radio.element_amplitude * channels.reflected)
-        return alignment.qos_aligned_phases(self.system, channels, weights, self.order)
+        known = channels or self.scene.known
+        return closed_forms.qos_aligned_phases(self.system, self.surface, known, weights, self.order)
 
-    def _fix_order(self, effective: ComplexArray, powers_w: FloatArray) -> IntArray | None:
+    def _fix_order(self, known: ComplexArray, powers_w: FloatArray) -> IntArray | None:
         """The static order, which is fixed in the episode's first slot; None where every slot has its own."""
         radio = self.config.radio
         if radio.decoding_order == "dynamic" or radio.scheme == "oma":
             return None
         fresh = self.order[:, 0, 0] < 0
         if fresh.any():
-            self.order[fresh] = access.decoding_order(effective, powers_w, self.clusters, radio.noise_w)[fresh]
+            self.order[fresh] = serving.decoding_order(self.system, known, powers_w)[fresh]
         return self.order
 
     def bisector(self, places: FloatArray) -> FloatArray:
@@ -258,6 +271,9 @@ class Simulator:
         mean = links.means(self.link_table, self.links.panel, start, end, blockers, headings)
         elements = links.panel_elements(panels, headings, self._panel_sizes, self._spacing_m)
         counts = self._panel_sizes.prod(1)
+        made = links.channels(
+            self.links, self._antennas, receivers, elements, counts, mean, diffuse, radio.wavelength_m
+        )
         return Scene(
             rover_xy=panels[:, 0, :2],
             rover_heading=world.fleet.heading,
@@ -265,9 +281,8 @@ class Simulator:
             users_xy=receivers[..., :2],
             blockers=blockers,
             path_loss_db=mean.loss_db,
-            channels=links.channels(
-                self.links, self._antennas, receivers, elements, counts, mean, diffuse, radio.wavelength_m
-            ),
+            channels=made,
+            known=made,  # as soon as they are: CSI is perfect
         )
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:

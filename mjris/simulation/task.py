@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.planning.radio_map import bare_values, best_goals, penalised, place_values
-from mjris.radio.channel import Channels
+from mjris.radio.links import Channels
 from mjris.simulation import observation
 from mjris.simulation.checks import checked
 from mjris.simulation.scene import Controls, Scene, Slot
@@ -99,7 +99,7 @@ class Task:
             phases_rad = self._phases(phases, channels)
             return phases_rad, self._powers(powers, phases_rad, channels)
 
-        phases_rad, powers_w = retune(self.simulator.scene.channels)
+        phases_rad, powers_w = retune(self.simulator.scene.known)
         return Controls(self._displacement(action[:, :2]), phases_rad, powers_w, pan_rad, retune)
 
     def observe(self) -> NDArray[np.float32]:

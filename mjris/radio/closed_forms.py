@@ -1,4 +1,4 @@
-"""Closed-form phases of a slot, compiled cell by cell."""
+"""Closed-form phases of a slot, from what is known of its channels."""
 
 import math
 
@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from mjris.jit.compiled import compiled
 from mjris.radio.beams import strength
-from mjris.radio.channel import Channels
 from mjris.radio.decoding import ascending
+from mjris.radio.links import Channels
 from mjris.radio.serving import System, serve
+from mjris.radio.surface import Surface, effective, flattened
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -20,9 +21,25 @@ _LINEAR_ITERATIONS = 2
 _MORE_THAN_ANY_BPS = 1e12
 
 
+def aligned_phases(
+    surface: Surface, known: Channels, weights: FloatArray | None = None, iterations: int = 3
+) -> FloatArray:
+    """Phases [..., N] [rad] that raise the channel gain Σ_k w_k ‖h_k‖², with `weights` [..., K], None for one.
+
+    Aligned to the direct channel at first, which is optimal for one user and one antenna: (|h_d| + Σ_n |h_n g_n|)².
+    Then every iteration aligns all elements to the whole channel. For weights >= 0 the gain is a convex function of the
+    reflection coefficients φ and this maximises its tangent over |φ_n| = 1, so that it never falls.
+    """
+    given = np.broadcast_to(np.ones(()) if weights is None else weights, known.direct.shape[:-1])
+    given = np.ascontiguousarray(given).reshape(-1, known.direct.shape[-2])
+    phases = _gain_aligned(surface, *flattened(known), given, iterations)
+    return phases.reshape(known.incident.shape[:-1])
+
+
 def qos_aligned_phases(
     system: System,
-    channels: Channels,
+    surface: Surface,
+    known: Channels,
     weights: FloatArray | None = None,
     order: IntArray | None = None,
     iterations: int = 7,
@@ -34,17 +51,43 @@ def qos_aligned_phases(
     elements to Σ_k w_k |h_k g_k|², the users' gains through their present beams, with `weights` [E, K] > 0, None for
     one. From the third iteration on it is the sum of the logarithms that counts, so that weak users do, too, and
     whoever misses QoS has his weight doubled. Of all that it meets from any start, it keeps the phases with QoS for
-    every user, and among those the highest sum rate. A modulus other than one belongs into `channels.reflected`.
+    every user, and among those the highest sum rate.
     """
-    weights = np.ones(channels.direct.shape[:-1]) if weights is None else np.ascontiguousarray(weights)
-    direct, incident, reflected = (np.ascontiguousarray(link) for link in channels)
-    order = system.no_order(len(direct)) if order is None else order
-    return _aligned_all(system, direct, incident, reflected, weights, order, iterations)
+    weights = np.ones(known.direct.shape[:-1]) if weights is None else np.ascontiguousarray(weights)
+    order = system.no_order(len(known.direct)) if order is None else order
+    return _qos_aligned(system, surface, *flattened(known), weights, order, iterations)
 
 
 @compiled
-def _aligned_all(
+def _gain_aligned(
+    surface: Surface,
+    direct: ComplexArray,
+    incident: ComplexArray,
+    reflected: ComplexArray,
+    weights: FloatArray,
+    iterations: int,
+) -> FloatArray:
+    phases = np.empty((len(incident), incident.shape[1]))
+    for cell in range(len(phases)):
+        turns = np.ones(incident.shape[1], np.complex128)
+        _align(incident[cell], reflected[cell], direct[cell].conj(), weights[cell], turns)
+        for _ in range(iterations):
+            channel = effective(surface, direct[cell], incident[cell], reflected[cell], turns)
+            _align(incident[cell], reflected[cell], channel.conj(), weights[cell], turns)
+        _write_phases(turns, phases[cell])
+    return phases
+
+
+@compiled
+def _write_phases(turns: ComplexArray, phases: FloatArray) -> None:
+    for n in range(len(turns)):
+        phases[n] = math.atan2(turns[n].imag, turns[n].real)
+
+
+@compiled
+def _qos_aligned(
     system: System,
+    surface: Surface,
     direct: ComplexArray,
     incident: ComplexArray,
     reflected: ComplexArray,
@@ -56,19 +99,18 @@ def _aligned_all(
     for cell in range(len(phases)):
         best = -np.inf
         for rank in range(system.clusters.shape[1]):
-            score, response = _climb(
-                system, direct[cell], incident[cell], reflected[cell], weights[cell], order[cell], rank, iterations
-            )
+            links = direct[cell], incident[cell], reflected[cell]
+            score, turns = _climb(system, surface, *links, weights[cell], order[cell], rank, iterations)
             if score > best:
                 best = score
-                for n in range(len(response)):
-                    phases[cell, n] = math.atan2(response[n].imag, response[n].real)
+                _write_phases(turns, phases[cell])
     return phases
 
 
 @compiled
 def _climb(
     system: System,
+    surface: Surface,
     direct: ComplexArray,
     incident: ComplexArray,
     reflected: ComplexArray,
@@ -77,20 +119,20 @@ def _climb(
     rank: int,
     iterations: int,
 ) -> tuple[float, ComplexArray]:
-    """The best score of `qos_aligned_phases` from the start for one rank, and its coefficients [N]."""
+    """The best score of `qos_aligned_phases` from the start for one rank, and what it sets elements to, e^{jθ} [N]."""
     users, elements = reflected.shape
-    response, best_response, best = np.ones(elements, np.complex128), np.ones(elements, np.complex128), -np.inf
+    turns, best_turns, best = np.ones(elements, np.complex128), np.ones(elements, np.complex128), -np.inf
     raised, least = weights.copy(), np.full(users, system.qos_bps)
-    _align(incident, reflected, direct.conj(), _for_rank(system, direct, weights, rank), response)
+    _align(incident, reflected, direct.conj(), _for_rank(system, direct, weights, rank), turns)
     for iteration in range(iterations):
-        channel = _effective(direct, incident, reflected, response)
+        channel = effective(surface, direct, incident, reflected, turns)
         _, reached, beams = serve(system, channel, least, order)
         score = reached.sum()
         if reached.min() >= system.qos_bps:
             score += _MORE_THAN_ANY_BPS
         if score > best:
             best = score
-            best_response[:] = response
+            best_turns[:] = turns
         toward = np.empty(users, np.complex128)
         for k in range(users):
             own = 0j
@@ -103,27 +145,13 @@ def _climb(
                 if reached[k] < system.qos_bps:
                     raised[k] *= 2
                 toward[k] = raised[k] / (own.real**2 + own.imag**2) * own.conjugate()
-        _align(incident, reflected, beams, toward, response)
-    return best, best_response
-
-
-@compiled
-def _effective(
-    direct: ComplexArray, incident: ComplexArray, reflected: ComplexArray, response: ComplexArray
-) -> ComplexArray:
-    """`channel.effective_channel` [K, M]."""
-    channel = direct.copy()
-    for k in range(reflected.shape[0]):
-        for n in range(reflected.shape[1]):
-            through = reflected[k, n] * response[n]
-            for m in range(direct.shape[1]):
-                channel[k, m] += through * incident[n, m]
-    return channel
+        _align(incident, reflected, beams, toward, turns)
+    return best, best_turns
 
 
 @compiled
 def _align(
-    incident: ComplexArray, reflected: ComplexArray, beams: ComplexArray, weights: np.ndarray, response: ComplexArray
+    incident: ComplexArray, reflected: ComplexArray, beams: ComplexArray, weights: np.ndarray, turns: ComplexArray
 ) -> None:
     """Turn Σ_k w_k (h_r,k)_n (G g_k)_n real for every element n, for beams g [K, M]; without any it stays as it is."""
     for n in range(reflected.shape[1]):
@@ -135,7 +163,7 @@ def _align(
             pull += weights[k] * reflected[k, n] * toward
         modulus = math.sqrt(pull.real**2 + pull.imag**2)
         if modulus > 0:
-            response[n] = complex(pull.real / modulus, -pull.imag / modulus)
+            turns[n] = complex(pull.real / modulus, -pull.imag / modulus)
 
 
 @compiled
