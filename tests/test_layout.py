@@ -4,10 +4,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjris.config import ConfigError
+from mjris.config import ConfigError, preset
 from mjris.world import layout as layout_module
 from mjris.world.layout import Layout, layout_names, load_layout
 from mjris.world.layout_checks import check_layout
+from mjris.world.office import build
+from mjris.world.sight import Sight
 
 HEAD = """
 room.size = [6.0, 5.0, 3.0]
@@ -172,6 +174,66 @@ def test_overlaps_are_found_at_any_angle(tmp_path, at, facing, overlap):
             load(tmp_path, obstacles)
     else:
         load(tmp_path, obstacles)
+
+
+WALL = """
+[kinds.wall]
+bricks = [{ at = [0, 0, 1.5], size = [0.1, 2.0, 3.0], material = "plaster" }]
+[kinds.low]
+bricks = [{ at = [0, 0, 0.5], size = [0.1, 2.0, 1.0], material = "plaster" }]
+[kinds.two]
+bricks = [
+  { at = [0, 0, 1.5], size = [0.1, 2.0, 3.0], material = "plaster" },
+  { at = [0, 1.5, 1.5], size = [0.1, 1.0, 3.0], material = "plaster" },
+]
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "at", "facing", "joint"),
+    [
+        ("wall", [1.5, 4.5], 0, True),  # one line, touching
+        ("wall", [1.5, 4.45], 0, True),  # one line, sharing 5 cm
+        ("wall", [1.5, 4.35], 0, False),  # sharing more than they are thick
+        ("wall", [1.52, 2.5], 0, False),  # one within the other
+        ("wall", [1.35, 4.0], 10, False),  # nearly so
+        ("wall", [2.45, 3.45], 90, True),  # an L
+        ("wall", [2.45, 2.5], 90, True),  # a T
+        ("wall", [1.5, 2.5], 90, True),  # a cross
+        ("wall", [2.0, 2.9], 60, True),  # askew
+        ("low", [2.45, 2.5], 90, False),  # furniture
+        ("two", [2.45, 2.5], 90, False),
+        ("box", [1.5, 2.5], 90, False),
+    ],
+)
+def test_walls_may_meet_at_joints(tmp_path, kind, at, facing, joint):
+    items = f'{{ kind = "wall", at = [1.5, 2.5] }}, {{ kind = "{kind}", at = {at}, facing_deg = {facing} }}'
+    head = HEAD.replace("[6.0, 5.0, 3.0]", "[6.0, 6.0, 3.0]").replace("[3.0, 2.0]", "[4.5, 4.5]")
+    if joint:
+        assert len(load(tmp_path, items, head, BOX + WALL).obstacles) == 2
+    else:
+        with pytest.raises(ConfigError, match=r"obstacles wall_1 and .*_[12] overlap by 0"):
+            load(tmp_path, items, head, BOX + WALL)
+
+
+def test_a_plan_of_many_walls_with_joints(tmp_path):
+    """Rooms of 3 m along both sides of a corridor, each wall 5 cm into those that it meets."""
+    rows = [f'{{ kind = "long", at = [{6 * i + 3.1}, {y}], facing_deg = 90 }}' for y in (3.0, 6.0) for i in range(8)]
+    across = [f'{{ kind = "cross", at = [{3 * i + 3}, {y}] }}' for y in (1.5, 7.5) for i in range(16)]
+    kinds = "\n".join(
+        f'[kinds.{name}]\nbricks = [{{ at = [0, 0, 1.5], size = [0.1, {length}, 3.0], material = "plaster" }}]'
+        for name, length in (("long", 6.1), ("cross", 3.0))
+    )
+    head = "room.size = [49.0, 9.0, 3.0]\nap.position = [1, 4.5, 2.6]\nap.facing_deg = 0.0\nrover.start = [4.5, 4.5]\n"
+    made = load(tmp_path, ", ".join(rows + across), head, kinds)
+    assert len(made.obstacles) == 48
+    # From the corridor through the joint of a long wall and one across: both are counted.
+    sight = Sight([build(preset("office"), made)])
+    start, end = np.array([[[4.5, 4.5, 1.5]]]), np.array([[[7.5, 0.5, 1.5]]])
+    joint = start + (end - start) * 0.375  # at (5.6, 3.0): the long wall alone, then the one across at x = 6
+    assert joint[0, 0, 1] == pytest.approx(3.0)
+    assert sight.blockers(start, end).tolist() == [[2]]
+    assert sight.blockers(start, np.array([[[5.9, 0.5, 1.5]]])).tolist() == [[1]]
 
 
 def test_stacked_obstacles_do_not_overlap(tmp_path):

@@ -20,7 +20,7 @@ T = TypeVar("T")
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 _Floats = NDArray[np.float64]
 
-Side = Annotated[float, Field(ge=2, le=100)]
+Side = Annotated[float, Field(ge=2, le=200)]
 Height = Annotated[float, Field(ge=2.2, le=20)]
 KindName = Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")]
 

@@ -16,6 +16,8 @@ _Floats = NDArray[np.float64]
 
 _TOUCH_M = 1e-6  # rounding allowed where a brick touches a wall
 _OVERLAP_M = 0.01  # how far bricks of two obstacles may sink into each other
+_WALL_THICKNESS_M, _WALL_HEIGHT_M = 0.4, 1.2  # what is thicker or lower is no wall
+_PARALLEL = math.radians(15)  # walls that are less apart are in one line
 
 
 class Boxes(NamedTuple):
@@ -88,15 +90,68 @@ def _check_inside(layout: "Layout", boxes: Boxes, fail: Callable[[str], NoReturn
 
 
 def _check_overlaps(layout: "Layout", boxes: Boxes, fail: Callable[[str], NoReturn]) -> None:
-    i, j = np.nonzero(boxes.owner[:, None] < boxes.owner)
+    i, j = _near_pairs(boxes)
+    depth = _depth(boxes, i, j)
+    for pair in np.flatnonzero(depth > _OVERLAP_M):
+        if not _is_joint(boxes, i[pair], j[pair]):
+            first, second = (layout.obstacles[boxes.owner[b[pair]]].name for b in (i, j))
+            fail(f"obstacles {first} and {second} overlap by {depth[pair]:.2f} m")
+
+
+def _near_pairs(boxes: Boxes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Bricks of different obstacles whose circles on the floor plan meet, the first of the lower obstacle: two [P].
+
+    A sweep along x, so that time and memory grow with the pairs that are near.
+    """
+    reach = np.hypot(boxes.half[:, 0], boxes.half[:, 1])
+    low = boxes.centre[:, 0] - reach
+    by_low = np.argsort(low)
+    ends = np.searchsorted(low[by_low], boxes.centre[by_low, 0] + reach[by_low])
+    pairs = [np.empty((0, 2), np.intp)]
+    for place, b in enumerate(by_low):
+        others = by_low[place + 1 : ends[place]]
+        apart = np.linalg.norm(boxes.centre[others, :2] - boxes.centre[b, :2], axis=1)
+        met = others[(apart < reach[others] + reach[b]) & (boxes.owner[others] != boxes.owner[b])]
+        pairs.append(np.stack([np.minimum(met, b), np.maximum(met, b)], 1))
+    found = np.concatenate(pairs)
+    return found[:, 0], found[:, 1]
+
+
+def _depth(boxes: Boxes, i: NDArray[np.intp], j: NDArray[np.intp]) -> _Floats:
+    """How far bricks i and j [P] sink into each other [P] [m]; negative where they are apart."""
     # Separating axes: as all boxes share z, the sides of both are all the directions that need a look.
     normals = np.concatenate([boxes.axes[i], boxes.axes[j]], axis=1)  # [P, 6, 3]
     reach = sum(np.einsum("pk,pnk->pn", boxes.half[b], np.abs(normals @ boxes.axes[b].swapaxes(1, 2))) for b in (i, j))
     apart = np.abs(np.einsum("pnd,pd->pn", normals, boxes.centre[j] - boxes.centre[i]))
-    depth = (reach - apart).min(axis=1)
-    for pair in np.flatnonzero(depth > _OVERLAP_M):
-        first, second = (layout.obstacles[boxes.owner[b[pair]]].name for b in (i, j))
-        fail(f"obstacles {first} and {second} overlap by {depth[pair]:.2f} m")
+    return (reach - apart).min(axis=1)
+
+
+def _is_joint(boxes: Boxes, i: int, j: int) -> bool:
+    """Whether two bricks are walls that meet: across each other, or end to end.
+
+    Walls in one line may share as much of their length as the thicker one is thick.
+    """
+    if not (_is_wall(boxes, i) and _is_wall(boxes, j)):
+        return False
+    (along, length, thickness), (other, other_length, other_thickness) = (_wall(boxes, b) for b in (i, j))
+    if abs(along[0] * other[1] - along[1] * other[0]) > math.sin(_PARALLEL):
+        return True
+    apart = abs(float((boxes.centre[j, :2] - boxes.centre[i, :2]) @ along))
+    return (length + other_length) / 2 - apart <= max(thickness, other_thickness) + _TOUCH_M
+
+
+def _is_wall(boxes: Boxes, b: int) -> bool:
+    """Whether a brick is the only one of its obstacle, stands on the floor, and is thin and high."""
+    on_floor = boxes.centre[b, 2] - boxes.half[b, 2] <= _OVERLAP_M
+    alone = (boxes.owner == boxes.owner[b]).sum() == 1
+    thin = 2 * boxes.half[b, :2].min() <= _WALL_THICKNESS_M
+    return bool(on_floor and alone and thin and 2 * boxes.half[b, 2] >= _WALL_HEIGHT_M)
+
+
+def _wall(boxes: Boxes, b: int) -> tuple[_Floats, float, float]:
+    """The direction [2] of a wall on the floor plan, its length and its thickness [m]."""
+    long = int(boxes.half[b, 1] > boxes.half[b, 0])
+    return boxes.axes[b, long, :2], 2 * float(boxes.half[b, long]), 2 * float(boxes.half[b, 1 - long])
 
 
 def wall_distance(points: _Floats, room: "Room") -> _Floats:
