@@ -110,6 +110,15 @@ def test_panel_has_an_element_for_each_of_n_and_lies_within_the_hull(rows, cols,
             assert placed[:, 2].max() <= hull_height(config) + 1e-9
 
 
+def test_a_large_panel_weighs_as_much_as_a_small_one_and_its_elements_are_for_the_eye():
+    config = Config(radio=Radio(panel_rows=64, panel_cols=64, carrier_hz=60e9))
+    large, small = (build(made, load_layout("open")) for made in (config, Config(radio=Radio(carrier_hz=60e9))))
+    assert large.model.ngeom == small.model.ngeom
+    assert large.scenery.ngeom == small.scenery.ngeom + 64 * 64 - 16
+    np.testing.assert_array_equal(large.model.body_mass, small.model.body_mass)
+    np.testing.assert_array_equal(large.model.body_inertia, small.model.body_inertia)
+
+
 def test_neighbouring_elements_are_half_a_wavelength_apart():
     config = preset("office")
     model = build(config, load_layout("office")).scenery

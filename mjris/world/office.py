@@ -135,7 +135,7 @@ class Office:
 
 def build(config: Config, layout: Layout) -> Office:
     """Compile a layout with the rover, its panel and the people of `config`."""
-    spec = compose(config, layout)
+    spec = _without_elements(config, layout)
     # Every geom costs time in each ray and each physics step, whether it can be met or not.
     for geom in [geom for geom in spec.geoms if geom.group == GROUP_VISUALS]:
         spec.delete(geom)
@@ -144,6 +144,13 @@ def build(config: Config, layout: Layout) -> Office:
 
 def compose(config: Config, layout: Layout) -> mujoco.MjSpec:
     """The scene as an editable spec: shell, furniture, AP, people, rover and panel."""
+    spec = _without_elements(config, layout)
+    _add_elements(spec, config)
+    return spec
+
+
+def _without_elements(config: Config, layout: Layout) -> mujoco.MjSpec:
+    """All but the panel's elements, which may be thousands, and of which each takes milliseconds to be deleted."""
     spec = _part("office")
     ticks_s = config.world.slot_s / config.world.ticks_per_slot
     spec.option.timestep = ticks_s / math.ceil(ticks_s / config.world.timestep_s - 1e-9)
@@ -252,19 +259,24 @@ def _mast_top(rover: mujoco.MjSpec, config: Config) -> mujoco.MjsFrame:
 
 
 def _panel(config: Config) -> mujoco.MjSpec:
-    """The panel with a tile for every reflecting element, half a wavelength apart."""
-    ris = _part("ris")
-    spacing = config.radio.wavelength_m / 2
+    """The panel's board."""
+    ris, spacing = _part("ris"), config.radio.wavelength_m / 2
     rows, cols = config.radio.panel_rows, config.radio.panel_cols
     ris.geom("board").size = [0.006, cols * spacing / 2 + _FRAME_M, rows * spacing / 2 + _FRAME_M]
-    panel = ris.body("panel")
+    return ris
+
+
+def _add_elements(spec: mujoco.MjSpec, config: Config) -> None:
+    """A tile for every reflecting element, half a wavelength apart."""
+    panel, spacing = spec.body("rover/panel/panel"), config.radio.wavelength_m / 2
+    rows, cols = config.radio.panel_rows, config.radio.panel_cols
     for n in range(rows * cols):
         row, col = divmod(n, cols)
         panel.add_geom(
-            name=f"element{n}",
+            spec.find_default("rover/panel/ris"),
+            name=f"rover/panel/element{n}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=[0.008, (col - (cols - 1) / 2) * spacing, ((rows - 1) / 2 - row) * spacing],
             size=[0.003, 0.4 * spacing, 0.4 * spacing],
-            material="ris_element",
+            material="rover/panel/ris_element",
         )
-    return ris
