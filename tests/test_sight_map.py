@@ -66,7 +66,22 @@ def test_every_number_has_a_square():
     assert square(grid, 1.26, 0.0) == 14
 
 
-def test_more_obstacles_than_can_be_counted_are_as_many(monkeypatch):
+def test_many_obstacles_are_counted_one_by_one(monkeypatch):
     made = world(1)
     monkeypatch.setattr(made.sight_map._sight, "blockers", lambda _, end, **__: np.full(end.shape[:2], 255))
-    assert (made.sight_map.blockers(np.array([[[7.0, 7.0]]]))[0, 0] == 127).all()
+    assert (made.sight_map.blockers(np.array([[[7.0, 7.0]]]))[0, 0] == 255).all()
+
+
+def test_only_what_is_asked_for_is_cast_and_once(monkeypatch):
+    made, casts = world(2, layout_jitter_m=0.2), []
+    sight = made.sight_map._sight
+    counted = sight.blockers
+    monkeypatch.setattr(
+        sight, "blockers", lambda start, *rest, **ids: casts.append(start) or counted(start, *rest, **ids)
+    )
+    places = np.random.default_rng(3).uniform(0, (15, 20), (2, 40, 2))
+    first = made.sight_map.blockers(places)
+    squares = {(e, square(made.sight_map.grid, *place)) for e in range(2) for place in places[e]}
+    assert len(casts) == len(squares)
+    np.testing.assert_array_equal(made.sight_map.blockers(places), first)
+    assert len(casts) == len(squares)

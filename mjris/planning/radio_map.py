@@ -17,7 +17,7 @@ from mjris.world.facing import bisectors
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
-SmallArray = NDArray[np.int8]
+SmallArray = NDArray[np.int16]
 
 
 class _Floor(NamedTuple):

@@ -10,11 +10,10 @@ from mjris.world.sight import Sight
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
+Counts = NDArray[np.int16]
 
 _SQUARE_M = 0.5
 _UNKNOWN = -1
-_MOST = 127
-"""More obstacles than an int8 can count are as many."""
 
 
 class Grid(NamedTuple):
@@ -34,7 +33,8 @@ class SightMap:
 
     Squares have their middles half a metre apart, one of them on the rover's start, as the nodes of `Paths` do.
 
-    For one office or one a cell, as in `Footprints`. Memory: s² bytes an office with s squares.
+    For one office or one a cell, as in `Footprints`. Memory grows with the squares that were asked for: two bytes for
+    each of them and each of the s squares of the floor.
     """
 
     def __init__(
@@ -51,24 +51,34 @@ class SightMap:
         self._low, self._high = (np.insert(middles, 2, height, 1) for height in (low_m, high_m))
         high = np.broadcast_to(self._high, (len(ap), *self._high.shape))
         self._from_ap = self._cast(np.arange(len(ap)), np.broadcast_to(ap[:, None], high.shape), high)
-        self._between = np.full((len(ap), len(middles), len(middles)), _UNKNOWN, np.int8)
-        """By office, lower square and upper square."""
+        self._known = np.empty((0, len(middles)), np.int16)
+        """Rows of lower squares, of which some are still empty [r, s]."""
+        self._row_of = np.full((len(ap), len(middles)), _UNKNOWN, np.int32)
+        """Where the row of an office's lower square is, [offices, s]."""
+        self._filled = 0
 
-    def blockers(self, low: FloatArray) -> NDArray[np.int8]:
+    def blockers(self, low: FloatArray) -> Counts:
         """Obstacles from places `low` [E, K, 2] [m] at the lower height and, last, the AP to all squares [E, K + 1, s].
 
         The squares are at the upper height.
         """
-        rows, unknown = _rows(self.grid, self._between, self._from_ap, low)
+        rows, unknown = _rows(self.grid, self._known, self._row_of, self._from_ap, low)
         if not unknown:
             return rows
         for office, lower in unknown:
             start = np.broadcast_to(self._low[lower], (1, *self._high.shape))
-            self._between[office, lower] = self._cast(np.array([office]), start, self._high[None])[0]
+            self._keep(office, lower, self._cast(np.array([office]), start, self._high[None])[0])
         return self.blockers(low)
 
-    def _cast(self, cells: IntArray, start: FloatArray, end: FloatArray) -> NDArray[np.int8]:
-        return np.minimum(self._sight.blockers(start, end, ids=cells), _MOST).astype(np.int8)
+    def _keep(self, office: int, lower: int, row: Counts) -> None:
+        if self._filled == len(self._known):
+            more = np.empty((max(self._filled, 16), self._known.shape[1]), np.int16)
+            self._known = np.concatenate([self._known, more])
+        self._known[self._filled], self._row_of[office, lower] = row, self._filled
+        self._filled += 1
+
+    def _cast(self, cells: IntArray, start: FloatArray, end: FloatArray) -> Counts:
+        return self._sight.blockers(start, end, ids=cells).astype(np.int16)
 
 
 @compiled
@@ -87,18 +97,20 @@ def _line(place: float, count: int) -> int:
 
 @compiled
 def _rows(
-    grid: Grid, between: NDArray[np.int8], from_ap: NDArray[np.int8], low: FloatArray
-) -> tuple[NDArray[np.int8], list[tuple[int, int]]]:
+    grid: Grid, known: Counts, row_of: NDArray[np.int32], from_ap: Counts, low: FloatArray
+) -> tuple[Counts, list[tuple[int, int]]]:
     """`SightMap.blockers`, and the offices and lower squares that it does not know yet."""
     cells, users = low.shape[:2]
-    rows = np.empty((cells, users + 1, between.shape[2]), np.int8)
+    rows = np.empty((cells, users + 1, from_ap.shape[1]), np.int16)
     unknown = [(0, 0) for _ in range(0)]  # empty, and of a type that Numba can tell
     for cell in range(cells):
-        office = cell % len(between)
+        office = cell % len(row_of)
         rows[cell, users] = from_ap[office]
         for k in range(users):
             lower = square(grid, low[cell, k, 0], low[cell, k, 1])
-            rows[cell, k] = between[office, lower]
-            if between[office, lower, 0] == _UNKNOWN and (office, lower) not in unknown:
+            row = row_of[office, lower]
+            if row != _UNKNOWN:
+                rows[cell, k] = known[row]
+            elif (office, lower) not in unknown:
                 unknown.append((office, lower))
     return rows, unknown
