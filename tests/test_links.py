@@ -26,10 +26,6 @@ def test_links_are_users_panels_with_users_and_panels():
     assert (made.direct, made.reflected, made.incident) == (slice(0, 2), slice(2, 8), slice(8, 11))
     assert made.person.tolist() == [0, 1, 0, 1, 0, 1, 0, 1, -1, -1, -1]
     assert made.panel.tolist() == [-1, -1, 0, 0, 1, 1, 2, 2, 0, 1, 2]
-    direct, incident, reflected = made.split(np.arange(22.0).reshape(2, 11))
-    assert direct[1].tolist() == [11, 12]
-    assert incident[0].tolist() == [8, 9, 10]
-    assert reflected[1].tolist() == [[13, 14], [15, 16], [17, 18]]
 
 
 def test_links_end_where_everything_stands():

@@ -26,20 +26,27 @@ def compiled(function: F) -> F:
 
     A division by zero gives inf or nan, as in NumPy.
     """
-    return _compiled(function, forceinline=False)
+    return _compiled(function, forceinline=False, fastmath=False)
+
+
+def reducing(function: F) -> F:
+    """`compiled`, and sums may be taken in any order, so that those of many numbers are done in vectors."""
+    return _compiled(function, forceinline=False, fastmath={"reassoc", "contract", "nsz"})
 
 
 def inlined(function: F) -> F:
     """`compiled`, and again into each of its callers: only loops that call nothing are done in vectors."""
-    return _compiled(function, forceinline=True)
+    return _compiled(function, forceinline=True, fastmath=False)
 
 
-def _compiled(function: F, forceinline: bool) -> F:
+def _compiled(function: F, forceinline: bool, fastmath: bool | set[str]) -> F:
     # Numba itself notices changes of the function's own file, but not of those that it calls or takes constants from.
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(_cache_dir(before))
     try:
-        return cast(F, numba.njit(cache=True, error_model="numpy", forceinline=forceinline)(function))
+        return cast(
+            F, numba.njit(cache=True, error_model="numpy", forceinline=forceinline, fastmath=fastmath)(function)
+        )
     finally:
         numba.config.CACHE_DIR = before
 

@@ -10,7 +10,7 @@ from mjris.radio.beams import strength
 from mjris.radio.decoding import ascending
 from mjris.radio.links import Channels
 from mjris.radio.serving import System, serve
-from mjris.radio.surface import Surface, effective, flattened
+from mjris.radio.surface import Parts, Surface, effective, flattened, parts
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -69,19 +69,27 @@ def _gain_aligned(
 ) -> FloatArray:
     phases = np.empty((len(incident), incident.shape[1]))
     for cell in range(len(phases)):
-        turns = np.ones(incident.shape[1], np.complex128)
-        _align(incident[cell], reflected[cell], direct[cell].conj(), weights[cell], turns)
+        turns, over = _unturned(incident.shape[1]), parts(incident[cell], reflected[cell])
+        _align(over, direct[cell].conj(), weights[cell], turns)
         for _ in range(iterations):
-            channel = effective(surface, direct[cell], incident[cell], reflected[cell], turns)
-            _align(incident[cell], reflected[cell], channel.conj(), weights[cell], turns)
+            channel = effective(surface, direct[cell], over, turns)
+            _align(over, channel.conj(), weights[cell], turns)
         _write_phases(turns, phases[cell])
     return phases
 
 
 @compiled
-def _write_phases(turns: ComplexArray, phases: FloatArray) -> None:
-    for n in range(len(turns)):
-        phases[n] = math.atan2(turns[n].imag, turns[n].real)
+def _unturned(elements: int) -> FloatArray:
+    """The parts [2, N] of e^{jθ} for phase zero."""
+    turns = np.zeros((2, elements))
+    turns[0] = 1
+    return turns
+
+
+@compiled
+def _write_phases(turns: FloatArray, phases: FloatArray) -> None:
+    for n in range(len(phases)):
+        phases[n] = math.atan2(turns[1, n], turns[0, n])
 
 
 @compiled
@@ -98,9 +106,9 @@ def _qos_aligned(
     phases = np.zeros(incident.shape[:2])
     for cell in range(len(phases)):
         best = -np.inf
+        over = parts(incident[cell], reflected[cell])
         for rank in range(system.clusters.shape[1]):
-            links = direct[cell], incident[cell], reflected[cell]
-            score, turns = _climb(system, surface, *links, weights[cell], order[cell], rank, iterations)
+            score, turns = _climb(system, surface, direct[cell], over, weights[cell], order[cell], rank, iterations)
             if score > best:
                 best = score
                 _write_phases(turns, phases[cell])
@@ -112,20 +120,19 @@ def _climb(
     system: System,
     surface: Surface,
     direct: ComplexArray,
-    incident: ComplexArray,
-    reflected: ComplexArray,
+    over: Parts,
     weights: FloatArray,
     order: IntArray,
     rank: int,
     iterations: int,
-) -> tuple[float, ComplexArray]:
-    """The best score of `qos_aligned_phases` from the start for one rank, and what it sets elements to, e^{jθ} [N]."""
-    users, elements = reflected.shape
-    turns, best_turns, best = np.ones(elements, np.complex128), np.ones(elements, np.complex128), -np.inf
+) -> tuple[float, FloatArray]:
+    """The best score of `qos_aligned_phases` from the start for one rank, and the parts [2, N] of e^{jθ} there."""
+    users, elements = over.reflected.shape[1:]
+    turns, best_turns, best = _unturned(elements), _unturned(elements), -np.inf
     raised, least = weights.copy(), np.full(users, system.qos_bps)
-    _align(incident, reflected, direct.conj(), _for_rank(system, direct, weights, rank), turns)
+    _align(over, direct.conj(), _for_rank(system, direct, weights, rank), turns)
     for iteration in range(iterations):
-        channel = effective(surface, direct, incident, reflected, turns)
+        channel = effective(surface, direct, over, turns)
         _, reached, beams = serve(system, channel, least, order)
         score = reached.sum()
         if reached.min() >= system.qos_bps:
@@ -145,25 +152,31 @@ def _climb(
                 if reached[k] < system.qos_bps:
                     raised[k] *= 2
                 toward[k] = raised[k] / (own.real**2 + own.imag**2) * own.conjugate()
-        _align(incident, reflected, beams, toward, turns)
+        _align(over, beams, toward, turns)
     return best, best_turns
 
 
 @compiled
-def _align(
-    incident: ComplexArray, reflected: ComplexArray, beams: ComplexArray, weights: np.ndarray, turns: ComplexArray
-) -> None:
+def _align(over: Parts, beams: ComplexArray, weights: np.ndarray, turns: FloatArray) -> None:
     """Turn Σ_k w_k (h_r,k)_n (G g_k)_n real for every element n, for beams g [K, M]; without any it stays as it is."""
-    for n in range(reflected.shape[1]):
-        pull = 0j
-        for k in range(reflected.shape[0]):
-            toward = 0j
-            for m in range(beams.shape[1]):
-                toward += incident[n, m] * beams[k, m]
-            pull += weights[k] * reflected[k, n] * toward
-        modulus = math.sqrt(pull.real**2 + pull.imag**2)
-        if modulus > 0:
-            turns[n] = complex(pull.real / modulus, -pull.imag / modulus)
+    elements = turns.shape[1]
+    pull, toward = np.zeros((2, elements)), np.empty((2, elements))
+    for k in range(over.reflected.shape[1]):
+        toward[:] = 0
+        for m in range(over.incident.shape[1]):
+            beam, real, imag = weights[k] * beams[k, m], over.incident[0, m], over.incident[1, m]
+            for n in range(elements):
+                toward[0, n] += real[n] * beam.real - imag[n] * beam.imag
+                toward[1, n] += real[n] * beam.imag + imag[n] * beam.real
+        real, imag = over.reflected[0, k], over.reflected[1, k]
+        for n in range(elements):
+            pull[0, n] += real[n] * toward[0, n] - imag[n] * toward[1, n]
+            pull[1, n] += real[n] * toward[1, n] + imag[n] * toward[0, n]
+    for n in range(elements):
+        squared = pull[0, n] ** 2 + pull[1, n] ** 2
+        inverse = 1 / math.sqrt(squared)
+        turns[0, n] = pull[0, n] * inverse if squared > 0 else turns[0, n]
+        turns[1, n] = -pull[1, n] * inverse if squared > 0 else turns[1, n]
 
 
 @compiled

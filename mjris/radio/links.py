@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.jit import vectors
-from mjris.jit.compiled import compiled
+from mjris.jit.compiled import compiled, inlined
 from mjris.radio import equations
 from mjris.radio.tables import LinkTable
 
@@ -46,11 +46,6 @@ class Links:
         """The user at the end of every link [L], -1 for none."""
         self.panel = np.concatenate([np.full(users, -1), np.repeat(np.arange(panels), users), np.arange(panels)])
         """The panel at the end of every link [L], -1 for none."""
-
-    def split(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Values of all links [E, L] as those AP–users [E, K], AP–panels [E, S] and panels–users [E, S, K]."""
-        reflected = values[:, self.reflected].reshape(len(values), self.panels, self.users)
-        return values[:, self.direct], values[:, self.incident], reflected
 
     def ends(self, ap: FloatArray, panels: FloatArray, receivers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where links start and end, both [E, L, 3] [m].
@@ -158,77 +153,71 @@ def channels(
     h_d, G and h_r, of unit mean power.
     """
     cells, users, rows, columns = len(receivers), receivers.shape[1], elements.shape[1], antennas.shape[1]
-    made = Channels(
-        np.empty((cells, users, columns), np.complex128),
-        np.empty((cells, rows, columns), np.complex128),
-        np.empty((cells, users, rows), np.complex128),
-    )
-    gain, k_factor = links.split(mean.gain), links.split(mean.k_factor)
-    _fill(made, antennas, receivers, elements, counts, gain, k_factor, diffuse, wavelength_m)
-    return made
+    direct = np.empty((cells, users, columns), np.complex128)
+    incident = np.empty((cells, rows, columns), np.complex128)
+    reflected = np.empty((cells, users, rows), np.complex128)
+    places = antennas, receivers, elements
+    gain, k_factor, parts = mean.gain, mean.k_factor, (direct, incident, reflected)
+    _fill(*parts, *places, links.person, links.panel, counts, gain, k_factor, diffuse, 1 / wavelength_m)
+    return Channels(direct, incident, reflected)
 
 
 @compiled
 def _fill(
-    made: Channels,
+    direct: ComplexArray,
+    incident: ComplexArray,
+    reflected: ComplexArray,
     antennas: FloatArray,
     receivers: FloatArray,
     elements: FloatArray,
+    person: IntArray,
+    panel: IntArray,
     counts: IntArray,
-    gain: tuple[FloatArray, FloatArray, FloatArray],
-    k_factor: tuple[FloatArray, FloatArray, FloatArray],
+    gain: FloatArray,
+    k_factor: FloatArray,
     diffuse: ComplexArray,
-    wavelength_m: float,
+    per_m: float,
 ) -> None:
-    users, columns = receivers.shape[1], antennas.shape[1]
-    away = np.empty(elements.shape[1] * columns)
+    columns, rows = antennas.shape[1], elements.shape[1]
+    los, first = np.empty((2, max(rows, columns))), counts.cumsum() - counts
+    # Where the parts of G and h_r begin among the diffuse ones.
+    to_elements, to_users = direct[0].size, direct[0].size + incident[0].size
     for e in range(len(receivers)):
-        at = 0
-        for k in range(users):
-            _distances(receivers[e, k : k + 1], antennas[e], wavelength_m, away)
-            at = _fill_link(made.direct[e, k], away, gain[0][e, k], k_factor[0][e, k], diffuse[e], at)
-        first = 0
-        for s in range(len(counts)):
-            own = slice(first, first + counts[s])
-            _distances(elements[e, own], antennas[e], wavelength_m, away)
-            entries = made.incident[e, own].ravel()
-            at = _fill_link(entries, away, gain[1][e, s], k_factor[1][e, s], diffuse[e], at)
-            first += counts[s]
-        for k in range(users):
-            first = 0
-            for s in range(len(counts)):
-                own = slice(first, first + counts[s])
-                _distances(receivers[e, k : k + 1], elements[e, own], wavelength_m, away)
-                entries = made.reflected[e, k, own]
-                at = _fill_link(entries, away, gain[2][e, s, k], k_factor[2][e, s, k], diffuse[e], at)
-                first += counts[s]
+        of_antennas, of_elements = antennas[e].T.copy(), elements[e].T.copy()
+        for link in range(len(person)):
+            k, s = int(person[link]), int(panel[link])
+            scattered = math.sqrt(gain[e, link] / (k_factor[e, link] + 1))
+            specular = math.sqrt(k_factor[e, link]) * scattered
+            if s < 0:
+                _phasors(receivers[e, k], of_antennas, 0, columns, per_m, los)
+                for m in range(columns):
+                    direct[e, k, m] = _entry(specular, los, m, scattered, diffuse[e, k * columns + m])
+                continue
+            begin, count = int(first[s]), int(counts[s])
+            if k < 0:
+                for m in range(columns):
+                    _phasors(antennas[e, m], of_elements, begin, count, per_m, los)
+                    for n in range(count):
+                        scatter = diffuse[e, to_elements + (begin + n) * columns + m]
+                        incident[e, begin + n, m] = _entry(specular, los, n, scattered, scatter)
+            else:
+                _phasors(receivers[e, k], of_elements, begin, count, per_m, los)
+                for n in range(count):
+                    scatter = diffuse[e, to_users + k * rows + begin + n]
+                    reflected[e, k, begin + n] = _entry(specular, los, n, scattered, scatter)
+
+
+@inlined
+def _entry(specular: float, los: FloatArray, n: int, scattered: float, diffuse: complex) -> complex:
+    """Eq. (PL): √gain (√(κ/(κ+1)) h_LoS + √(1/(κ+1)) h_diffuse), where κ = 0 is Rayleigh's."""
+    return complex(specular * los[0, n] + scattered * diffuse.real, specular * los[1, n] + scattered * diffuse.imag)
 
 
 @compiled
-def _distances(ends: FloatArray, starts: FloatArray, wavelength_m: float, away: FloatArray) -> None:
-    """Write distances between places [A, 3] and [B, 3] [m] to `away` [≥ A B], in wavelengths."""
-    entry = 0
-    for end in range(len(ends)):
-        for start in range(len(starts)):
-            x, y, z = (
-                ends[end, 0] - starts[start, 0],
-                ends[end, 1] - starts[start, 1],
-                ends[end, 2] - starts[start, 2],
-            )
-            away[entry] = math.sqrt(x * x + y * y + z * z) / wavelength_m
-            entry += 1
-
-
-@compiled
-def _fill_link(
-    entries: ComplexArray, away: FloatArray, gain: float, k_factor: float, diffuse: ComplexArray, at: int
-) -> int:
-    """Write all entries [n] of a link, with their diffuse parts from `at` on; where those end.
-
-    Eq. (PL) with Rician fading h = √(κ/(κ+1)) h_LoS + √(1/(κ+1)) h_diffuse; κ = 0 is Rayleigh's.
-    """
-    scattered = math.sqrt(gain / (k_factor + 1))
-    los = math.sqrt(k_factor) * scattered
-    for entry in range(len(entries)):
-        entries[entry] = los * vectors.phasor(away[entry]) + scattered * diffuse[at + entry]
-    return at + len(entries)
+def _phasors(end: FloatArray, places: FloatArray, first: int, count: int, per_m: float, los: FloatArray) -> None:
+    """Write e^{-2πi d/λ} of the distances from an end [3] to some places of [3, n] [m] to `los` [2, ≥ count]."""
+    x, y, z = places[0, first : first + count], places[1, first : first + count], places[2, first : first + count]
+    for n in range(count):
+        to_x, to_y, to_z = end[0] - x[n], end[1] - y[n], end[2] - z[n]
+        turned = vectors.phasor(math.sqrt(to_x * to_x + to_y * to_y + to_z * to_z) * per_m)
+        los[0, n], los[1, n] = turned.real, turned.imag

@@ -62,10 +62,10 @@ def rates(
     """
     if not (powers_w >= 0).all():
         raise ValueError(f"power_w: {powers_w} is not allowed: every power must be at least 0 W")
-    flat, shape = _flat(channel, 2), channel.shape[:-1]
-    beams_from = flat if known is None else _flat(known, 2)
-    found = _rates(system, flat, beams_from, _flat(_filling(powers_w, shape), 1), _orders(system, len(flat), order))
-    return found.reshape(shape)
+    flat, shape, perfect = _flat(channel, 2), channel.shape[:-1], known is None or known is channel
+    beams_from = flat if known is None or perfect else _flat(known, 2)
+    powers, orders = _flat(_filling(powers_w, shape), 1), _orders(system, len(flat), order)
+    return _rates(system, flat, beams_from, perfect, powers, orders).reshape(shape)
 
 
 def decoding_order(system: System, known: ComplexArray, powers_w: FloatArray) -> IntArray:
@@ -151,18 +151,20 @@ def _flat(values: np.ndarray, axes: int) -> np.ndarray:
 
 @compiled
 def _rates(
-    system: System, channel: ComplexArray, known: ComplexArray, powers: FloatArray, order: IntArray
+    system: System, channel: ComplexArray, known: ComplexArray, perfect: bool, powers: FloatArray, order: IntArray
 ) -> FloatArray:
+    """`rates`; whether the knowledge is perfect spares working out the same gains twice."""
     found = np.empty(powers.shape)
     for cell in range(len(channel)):
         if system.oma and not (system.selects and _selected(system, powers[cell])):
             found[cell] = _oma(system, channel[cell], band_beams(known[cell], system.clusters), powers[cell])
         else:
             beams, budgets = cluster_beams(known[cell], system.clusters), _spent(system, powers[cell])
-            decoded = order[cell]
+            gains, decoded = gains_over(system, known[cell], beams, budgets), order[cell]
             if decoded[0, 0] < 0:
-                decoded = ascending(system.clusters, gains_over(system, known[cell], beams, budgets))
-            gains = gains_over(system, channel[cell], beams, budgets)
+                decoded = ascending(system.clusters, gains)
+            if not perfect:
+                gains = gains_over(system, channel[cell], beams, budgets)
             cancelled(system.bandwidth_hz, gains, powers[cell], decoded, found[cell])
     return found
 
@@ -247,26 +249,20 @@ def _serve_noma(
     gains = gains_over(system, known, beams, budgets)
     by_gain = ascending(system.clusters, gains)
     decoded = order if order[0, 0] >= 0 else by_gain
+    needed, powers, reached = np.empty(len(known)), np.empty(len(known)), np.full(len(known), -np.inf)
     least = decodable(gains, decoded)
-    powers, reached = np.empty(len(known)), np.full(len(known), -np.inf)
-    for asked in (wanted, np.full(len(known), qos_bps)):
-        if qos_bps > 0 and reached.min() < qos_bps:
-            qos_first(least, decoded, budgets, _needed(system, asked), powers)
+    for attempt in range(2 if qos_bps > 0 else 0):
+        if reached.min() < qos_bps:
+            for user in range(len(needed)):
+                needed[user] = needed_share(system.bandwidth_hz, wanted[user] if attempt == 0 else qos_bps)
+            qos_first(least, decoded, budgets, needed, powers)
             cancelled(system.bandwidth_hz, gains, powers, decoded, reached)
     if qos_bps == 0 or reached.min() < qos_bps:
         # All to the strongest ones; who is sent nothing decodes for nobody, so that no order matters.
-        qos_first(gains, by_gain, budgets, np.zeros(len(known)), powers)
+        needed[:] = 0
+        qos_first(gains, by_gain, budgets, needed, powers)
         cancelled(system.bandwidth_hz, gains, powers, by_gain, reached)
     return powers, reached, beams
-
-
-@compiled
-def _needed(system: System, wanted_bps: FloatArray) -> FloatArray:
-    """`needed_share` of every user's rate [K]."""
-    needed = np.empty(len(wanted_bps))
-    for user in range(len(needed)):
-        needed[user] = needed_share(system.bandwidth_hz, wanted_bps[user])
-    return needed
 
 
 @compiled
@@ -277,7 +273,7 @@ def _all_qos_first(system: System, known: ComplexArray, budgets: FloatArray, ord
         decoded = ascending(system.clusters, gains)
         if system.qos_bps > 0 and order[cell, 0, 0] >= 0:
             decoded = order[cell]
-        needed = _needed(system, np.full(known.shape[1], system.qos_bps))
+        needed = np.full(known.shape[1], needed_share(system.bandwidth_hz, system.qos_bps))
         qos_first(decodable(gains, decoded), decoded, budgets[cell], needed, powers[cell])
     return powers
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Radio
-from mjris.jit.compiled import compiled, inlined
+from mjris.jit.compiled import compiled, inlined, reducing
 from mjris.radio.links import Channels
 
 FloatArray = NDArray[np.floating]
@@ -49,10 +49,11 @@ def element_amplitudes(surface: Surface, incident: float, reflected: FloatArray)
 
 def effective_channel(surface: Surface, channels: Channels, phases_rad: FloatArray) -> ComplexArray:
     """H = h_d + h_r Θ G [..., K, M], the factor in eq. (yt), with elements set to phases [..., N] [rad]."""
-    flat = flattened(channels)
-    phases_rad = np.broadcast_to(phases_rad, channels.incident.shape[:-1])
-    made = _effective_all(surface, *flat, np.ascontiguousarray(phases_rad).reshape(len(flat.direct), -1))
-    return made.reshape(channels.direct.shape)
+    shape = channels.incident.shape[:-1]
+    if phases_rad.shape != shape:  # which takes longer than a slot of few elements
+        phases_rad = np.broadcast_to(phases_rad, shape)
+    phases_rad = np.ascontiguousarray(phases_rad).reshape(-1, shape[-1])
+    return _effective_all(surface, *flattened(channels), phases_rad).reshape(channels.direct.shape)
 
 
 def cascade(surface: Surface, channels: Channels) -> ComplexArray:
@@ -66,27 +67,55 @@ def flattened(channels: Channels) -> Channels:
     return Channels(*(np.ascontiguousarray(link).reshape(-1, *link.shape[-2:]) for link in channels))
 
 
+class Parts(NamedTuple):
+    """Channels of one cell with real and imaginary parts apart, elements last: loops over elements are vectors."""
+
+    incident: FloatArray
+    """[2, M, N]"""
+    reflected: FloatArray
+    """[2, K, N]"""
+
+
 @compiled
-def _effective_all(
-    surface: Surface, direct: ComplexArray, incident: ComplexArray, reflected: ComplexArray, phases_rad: FloatArray
-) -> ComplexArray:
-    made, turns = np.empty(direct.shape, np.complex128), np.empty(phases_rad.shape[1], np.complex128)
-    for cell in range(len(made)):
-        for n in range(len(turns)):
-            turns[n] = complex(math.cos(phases_rad[cell, n]), math.sin(phases_rad[cell, n]))
-        made[cell] = effective(surface, direct[cell], incident[cell], reflected[cell], turns)
+def parts(incident: ComplexArray, reflected: ComplexArray) -> Parts:
+    """The parts of channels [N, M] and [K, N]."""
+    made = Parts(np.empty((2, incident.shape[1], incident.shape[0])), np.empty((2, *reflected.shape)))
+    for n in range(incident.shape[0]):
+        for m in range(incident.shape[1]):
+            made.incident[0, m, n], made.incident[1, m, n] = incident[n, m].real, incident[n, m].imag
+    for k in range(reflected.shape[0]):
+        for n in range(reflected.shape[1]):
+            made.reflected[0, k, n], made.reflected[1, k, n] = reflected[k, n].real, reflected[k, n].imag
     return made
 
 
 @compiled
-def effective(
-    surface: Surface, direct: ComplexArray, incident: ComplexArray, reflected: ComplexArray, turns: ComplexArray
+def _effective_all(
+    surface: Surface, direct: ComplexArray, incident: ComplexArray, reflected: ComplexArray, phases_rad: FloatArray
 ) -> ComplexArray:
-    """`effective_channel` [K, M] of one cell, with elements set to e^{jθ} [N]."""
-    channel = direct.copy()
+    made, turns = np.empty(direct.shape, np.complex128), np.empty((2, phases_rad.shape[1]))
+    for cell in range(len(made)):
+        for n in range(turns.shape[1]):
+            turns[0, n], turns[1, n] = math.cos(phases_rad[cell, n]), math.sin(phases_rad[cell, n])
+        made[cell] = effective(surface, direct[cell], parts(incident[cell], reflected[cell]), turns)
+    return made
+
+
+@reducing
+def effective(surface: Surface, direct: ComplexArray, over: Parts, turns: FloatArray) -> ComplexArray:
+    """`effective_channel` [K, M] of one cell, with elements set to e^{jθ}, whose parts are `turns` [2, N]."""
+    channel, onward = direct.copy(), np.empty_like(turns)
     for k in range(channel.shape[0]):
-        for n in range(len(turns)):
-            through = reflected[k, n] * coefficient(surface, turns[n])
-            for m in range(channel.shape[1]):
-                channel[k, m] += through * incident[n, m]
+        real, imag = over.reflected[0, k], over.reflected[1, k]
+        for n in range(turns.shape[1]):
+            through = coefficient(surface, complex(turns[0, n], turns[1, n]))
+            onward[0, n] = real[n] * through.real - imag[n] * through.imag
+            onward[1, n] = real[n] * through.imag + imag[n] * through.real
+        for m in range(channel.shape[1]):
+            real, imag = over.incident[0, m], over.incident[1, m]
+            total_real, total_imag = 0.0, 0.0
+            for n in range(turns.shape[1]):
+                total_real += onward[0, n] * real[n] - onward[1, n] * imag[n]
+                total_imag += onward[0, n] * imag[n] + onward[1, n] * real[n]
+            channel[k, m] += complex(total_real, total_imag)
     return channel

@@ -101,7 +101,7 @@ def _write_radio_map(
     promised_bps: FloatArray,
 ) -> None:
     direct, incident, reflected = channels
-    users = users_xy.shape[1]
+    users, toward = users_xy.shape[1], np.empty(incident.shape[1])
     for e in range(len(seen)):
         own, here = seen[e], values_bps[e, 0]
         at = _write_positions(own, rover_xy[e], panel_heading[e], users_xy[e], room_m[e])
@@ -110,12 +110,14 @@ def _write_radio_map(
                 own[at] = 2 * (users_xy[e, k, i] - rover_xy[e, i]) / room_m[e, i]
                 at += 1
         at = _write_losses(own, at, loss_db[e])
+        for n in range(len(toward)):
+            toward[n] = _norm(incident[e, n])
         for k in range(users):
             own[at + k] = _scaled(_loss_db(_norm(direct[e, k])))
             # With all elements in phase.
             panel = 0.0
-            for n in range(incident.shape[1]):
-                panel += abs(reflected[e, k, n]) * _norm(incident[e, n])
+            for n in range(len(toward)):
+                panel += math.sqrt(reflected[e, k, n].real ** 2 + reflected[e, k, n].imag ** 2) * toward[n]
             own[at + users + k] = _scaled(_loss_db(panel))
         at += 2 * users
         own[at] = here / 1e6

@@ -161,10 +161,11 @@ class Simulator:
         updates, ticks = self.config.task.phase_updates_per_slot, self.config.world.ticks_per_slot
         first, known = self._effective(phases_rad, parts[0])
         order = self._fix_order(known, powers_w)
-        bare_powers, _ = self.reference_powers(parts[0].known.direct)
+        bare_powers, bare_rates = self.reference_powers(parts[0].known.direct)
         if updates == 0:
             rates = self.rates(first, powers_w, self.order, known)
-            bare_rates = self.rates(parts[0].channels.direct, bare_powers, known=parts[0].known.direct)
+            if parts[0].known is not parts[0].channels:
+                bare_rates = self.rates(parts[0].channels.direct, bare_powers, known=parts[0].known.direct)
             return _Sent(rates, bare_rates, first, known, order, (parts[0].channels,))
         # The last scene is that of the next slot's beginning.
         parts = parts[:ticks]
