@@ -14,8 +14,8 @@ import mjris
 from mjris.config import Config, ConfigError, preset
 from mjris.envs.gym_env import OfficeEnv
 from mjris.envs.sb3_vec import OfficeVecEnv
-from mjris.planning.radio_map import bare_values, best_goals, place_values
 from mjris.radio import closed_forms, serving
+from mjris.simulation.outlook import bare_values, best_goals, place_values
 from mjris.simulation.streams import CellId
 from mjris.simulation.task import Task
 
@@ -180,11 +180,11 @@ def test_waypoints_are_moved_from_the_goal_of_the_map():
     simulator = task.simulator
     goal, _ = best_goals(simulator)
     action = np.zeros((8, task.action_size))
-    np.testing.assert_array_equal(task.decode(action)[0], simulator.world.way_toward(goal))
+    np.testing.assert_array_equal(task.decode(action)[0], simulator.terrain.way_toward(goal))
     angle = np.arange(8) * np.pi / 4
     action[:, :2] = 0.5 * np.stack([np.cos(angle), np.sin(angle)], -1)
     moved = goal + 4 * 0.5 * action[:, :2]
-    np.testing.assert_allclose(task.decode(action)[0], simulator.world.way_toward(moved), atol=1e-9)
+    np.testing.assert_allclose(task.decode(action)[0], simulator.terrain.way_toward(moved), atol=1e-9)
     plain = Task(OFFICE, cells=8)
     plain.reset(0)
     for _ in range(30):
@@ -230,7 +230,7 @@ def test_action_zero_is_the_closed_forms(scheme):
     task = Task(changed(OFFICE, scheme=scheme), cells=3)
     simulator = task.simulator
     move, phases, powers, *_ = task.decode(np.zeros((3, task.action_size)))
-    np.testing.assert_array_equal(move, simulator.world.way_toward(best_goals(simulator)[0]))
+    np.testing.assert_array_equal(move, simulator.terrain.way_toward(best_goals(simulator)[0]))
     system = serving.System.of(task.config.radio, simulator.clusters, task.config.task.qos_bps)
     aligned = closed_forms.qos_aligned_phases(system, simulator.surface, simulator.scene.known)
     np.testing.assert_allclose(phases, aligned)

@@ -31,8 +31,8 @@ def still():
 
 
 def test_places_are_those_of_the_grid_with_a_way_from_the_start():
-    world = Simulator(config()).world
-    places = reachable_places(world, 0.75)
+    simulator = Simulator(config())
+    world, places = simulator.world, reachable_places(simulator, 0.75)
     width, depth = world.office(0).layout.room.size[:2]
     columns, rows = int(width // 0.75), int(depth // 0.75)
     x, y = (np.arange(columns) + 0.5) * width / columns, (np.arange(rows) + 0.5) * depth / rows
@@ -40,7 +40,7 @@ def test_places_are_those_of_the_grid_with_a_way_from_the_start():
     # Whoever drives there arrives, and goals that cannot be reached are moved.
     at = np.broadcast_to(np.array(world.office(0).layout.start), goals.shape)
     for _ in range(20):
-        at = world.paths.toward(at, goals)
+        at = simulator.terrain.paths.toward(at, goals)
     expected = goals[np.linalg.norm(at - goals, axis=-1) < 1e-6]
     found, wanted = ({tuple(place) for place in np.round(each, 6)} for each in (places, expected))
     assert len(places) > 50

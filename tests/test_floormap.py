@@ -7,7 +7,7 @@ import pytest
 from mjris.config import ConfigError, preset
 from mjris.eval.floormap import FloorMap, floor_map
 from mjris.planning import prediction
-from mjris.planning.radio_map import place_values
+from mjris.simulation.outlook import place_values
 from mjris.simulation.simulator import Simulator
 
 ROOM = """

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjris.config import Config, preset
-from mjris.planning.radio_map import best_goals, place_values
+from mjris.simulation.outlook import best_goals, place_values
 from mjris.simulation.task import Task
 
 

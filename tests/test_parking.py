@@ -58,7 +58,7 @@ def played_values(config: Config, spots: list[Spot]) -> np.ndarray:
 
 def test_the_spot_is_as_good_as_the_best_of_all(config, spot):
     """Against playing every place and heading."""
-    nodes = Simulator(config).world.paths.nodes[::2]
+    nodes = Simulator(config).terrain.paths.nodes[::2]
     headings = (0.0, 90.0, 180.0, 270.0)
     values = played_values(config, [Spot(x, y, heading) for x, y in nodes.tolist() for heading in headings])
     found = played_values(config, [spot])[0]
@@ -70,8 +70,10 @@ def test_promising_spots_are_apart_and_can_be_stood_at(config):
     spots = promising(config, SEED)
     assert len(spots) > 2
     assert min(math.dist(one[:2], other[:2]) for one, other in combinations(spots, 2)) >= 1
-    world = Simulator(config).world
-    assert (world._hull_solid.distance(np.array([[spot[:2]] for spot in spots])) >= world.paths.keep_m).all()
+    simulator = Simulator(config)
+    assert (
+        simulator.world.hull_solid.distance(np.array([[spot[:2]] for spot in spots])) >= simulator.terrain.paths.keep_m
+    ).all()
 
 
 def test_a_parked_ris_stands_and_faces_where_it_is_told(config, spot):

@@ -7,6 +7,7 @@ import pytest
 from mjris.config import Config, ConfigError
 from mjris.config import World as WorldConfig
 from mjris.planning.paths import Paths
+from mjris.planning.terrain import Terrain
 from mjris.planning.wayfinding import last_nodes
 from mjris.world.footprints import Footprints
 from mjris.world.layout import layout_names, load_layout
@@ -126,8 +127,10 @@ def test_no_floor_left():
         Paths(solid(WALLS), (8, 6), np.array([1.0, 1.0]), 3.5)
 
 
-def driven(name: str, drive: str, cells: int, tight: bool, jitter: float = 0.0) -> tuple[World, np.ndarray, np.ndarray]:
-    """A world without people in the way, and random free places and goals [E, 2]."""
+def driven(
+    name: str, drive: str, cells: int, tight: bool, jitter: float = 0.0
+) -> tuple[World, Paths, np.ndarray, np.ndarray]:
+    """A world without people in the way, the ways in it, and random free places and goals [E, 2]."""
     config = Config(world=WorldConfig(drive=drive, layout_jitter_m=jitter))  # pyright: ignore[reportArgumentType]
     rng = np.random.default_rng(7)
     made = World(config, load_layout(name), [np.random.default_rng([7, e]) for e in range(cells)])
@@ -135,16 +138,16 @@ def driven(name: str, drive: str, cells: int, tight: bool, jitter: float = 0.0) 
     made.crowd.place(np.arange(cells), outside)
     size = np.array(made.office(0).layout.room.size[:2])
     least = made.hull_radius_m + made.config.bumper_m
-    places = np.zeros((2, cells, 2))
+    places, ways = np.zeros((2, cells, 2)), Terrain(made).paths
     for cell in range(cells):
-        nodes = made.paths.nodes[made.paths.reachable[cell % len(made.offices)]]
+        nodes = ways.nodes[ways.reachable[cell % len(made.offices)]]
         tried = rng.uniform(0, size, (1500, 2))
-        room = made._hull_solid.of(np.array([cell])).distance(tried[None])[0]
+        room = made.hull_solid.of(np.array([cell])).distance(tried[None])[0]
         near = np.linalg.norm(tried[:, None] - nodes, axis=-1).min(1) < 0.6
         starts = tried[(room >= least) & (room < (least + 0.01 if tight else np.inf)) & near]
         places[:, cell] = starts[0], tried[(room >= least) & near][-1]
     made.fleet.place(np.arange(cells), places[0], rng.uniform(-math.pi, math.pi, cells))
-    return made, places[0], places[1]
+    return made, ways, places[0], places[1]
 
 
 @pytest.mark.parametrize("tight", [False, True])
@@ -161,10 +164,10 @@ def test_rovers_arrive_in_furniture_of_their_own():
     assert_arrives(*driven("clinic", "kinematic", 2, True, jitter=0.4))
 
 
-def assert_arrives(made: World, start: np.ndarray, goal: np.ndarray) -> None:
+def assert_arrives(made: World, ways: Paths, start: np.ndarray, goal: np.ndarray) -> None:
     """Every rover reaches its goal in time and bumps into nothing."""
     still = np.zeros((made.num_cells, made.config.num_users))
-    ways, reach = made.paths, made.config.max_speed_mps * made.config.slot_s
+    reach = made.config.max_speed_mps * made.config.slot_s
     goal = np.array([last_nodes(ways.graph, e % len(ways.distances), *place)[:2] for e, place in enumerate(goal)])
     budget = 1.3 * ways.distance(start, goal) / reach + 4
     left = np.linalg.norm(goal - start, axis=-1)

@@ -8,8 +8,8 @@ import pytest
 from mjris.config import Config, preset
 from mjris.eval.planner import best_places
 from mjris.eval.policies import planned
-from mjris.planning.radio_map import best_goals, node_values, place_values
 from mjris.planning.wayfinding import first_nodes, last_nodes, next_node, shortest
+from mjris.simulation.outlook import best_goals, node_values, place_values
 from mjris.simulation.simulator import Simulator
 
 CELLS = 3
@@ -26,7 +26,7 @@ def made() -> Simulator:
 
 
 def test_node_values_are_those_of_single_places(made):
-    values, nodes = node_values(made), made.world.paths.nodes
+    values, nodes = node_values(made), made.terrain.paths.nodes
     assert values.shape == (CELLS, len(nodes))
     for node in (0, 200, len(nodes) - 1):
         single = place_values(made, np.tile(nodes[node], (CELLS, 1, 1)))[:, 0]
@@ -38,13 +38,13 @@ def test_best_places_are_the_best_and_can_be_reached(made):
     assert (values >= node_values(made).max(1)).all()
     np.testing.assert_allclose(place_values(made, places[:, None])[:, 0], values)
     for place in places:
-        assert last_nodes(made.world.paths.graph, 0, *place)[:2] == pytest.approx(place)
-    assert (made.world._hull_solid.distance(places[:, None])[:, 0] >= made.world.paths.keep_m).all()
+        assert last_nodes(made.terrain.paths.graph, 0, *place)[:2] == pytest.approx(place)
+    assert (made.world.hull_solid.distance(places[:, None])[:, 0] >= made.terrain.paths.keep_m).all()
 
 
 def test_unreachable_nodes_are_never_best():
     jittered = simulator(layout_jitter_m=0.4)
-    values, reachable = node_values(jittered), jittered.world.paths.reachable
+    values, reachable = node_values(jittered), jittered.terrain.paths.reachable
     assert not reachable.all()
     assert np.isneginf(values[~reachable]).all()
     assert np.isfinite(values[reachable]).all()
@@ -54,7 +54,7 @@ def test_unreachable_nodes_are_never_best():
 def test_goals_are_those_of_a_search_over_all_ways(horizon):
     """Against sums along whole ways, walked one by one."""
     made = simulator(1)
-    ways, here, reach = made.world.paths, made.world.fleet.xy, horizon * made.config.world.max_speed_mps
+    ways, here, reach = made.terrain.paths, made.world.fleet.xy, horizon * made.config.world.max_speed_mps
     goal, promised = best_goals(made, horizon)
     totals = {tuple(here[0]): reach * place_values(made, here[:, None])[0, 0]}
     for node in np.flatnonzero(ways.distance_to_nodes(here)[0] < reach).tolist():

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from mjris.config import preset
-from mjris.planning.radio_map import _floor, _link_gains, bare_values, best_goals, node_values, penalised, place_values
+from mjris.planning.radio_map import _link_gains, penalised
+from mjris.simulation.outlook import _ground, bare_values, best_goals, node_values, place_values
 from mjris.simulation.simulator import Simulator
 
 OFFICE = preset("office")
@@ -20,7 +21,7 @@ def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
     rng = np.random.default_rng(0)
     places = rng.uniform((0.5, 0.5), (14.5, 19.5), (3, 20, 2))
     panel_m = OFFICE.world.panel_height_m
-    world, ground, gains = simulator.world, _floor(simulator), np.empty((5, 20))
+    world, ground, gains = simulator.world, _ground(simulator), np.empty((5, 20))
     for e in range(3):
         ap, users = simulator.ap_position[e], world.receivers()[e]
         _link_gains(ground, e, places[e], gains)
@@ -53,8 +54,7 @@ def test_a_place_behind_the_world_is_worth_what_the_direct_channel_is(simulator)
 
 
 def test_a_heading_takes_the_place_of_the_bisector(simulator):
-    world = simulator.world
-    nodes = world.paths.nodes
+    nodes = simulator.terrain.paths.nodes
     for node in (3, 150):
         facing = simulator.bisector(np.tile(nodes[node], (3, 1)))
         turned = node_values(simulator)[:, node]
@@ -67,7 +67,7 @@ def test_a_heading_takes_the_place_of_the_bisector(simulator):
 
 def test_goals_promise_the_most_of_all_places_and_of_staying(simulator):
     goal, promised = best_goals(simulator, horizon_slots=12)
-    paths, here = simulator.world.paths, simulator.world.fleet.xy
+    paths, here = simulator.terrain.paths, simulator.world.fleet.xy
     present, values = place_values(simulator, here[:, None])[:, 0], node_values(simulator)
     length = paths.distance_to_nodes(here)
     on_the_way = paths.along(length, present, values, np.inf)

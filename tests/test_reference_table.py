@@ -10,7 +10,7 @@ import pytest
 from mjris.config import ConfigError, preset
 from mjris.eval.planner import best_places
 from mjris.eval.policies import parked, planned
-from mjris.planning.radio_map import place_values
+from mjris.simulation.outlook import place_values
 from mjris.simulation.simulator import Simulator
 
 

@@ -81,7 +81,7 @@ def free_places_near(made: World, targets: np.ndarray, rng: np.random.Generator)
     tried = np.concatenate(
         [rng.uniform(0, size, (4000, 2)), targets.repeat(400, 0) + rng.normal(0, 1, (len(targets) * 400, 2))]
     )
-    solid = made._hull_solid.of(np.array([0])).distance(tried[None])[0]
+    solid = made.hull_solid.of(np.array([0])).distance(tried[None])[0]
     tried = tried[((tried > 0) & (tried < size)).all(-1) & (solid > made.hull_radius_m + made.config.bumper_m)]
     chosen = []
     for cell, target in enumerate(targets):
@@ -258,7 +258,7 @@ def test_the_bumper_is_read_wherever_it_could_stop_the_rover():
         for cell, angle in enumerate(rng.uniform(-math.pi, math.pi, 64)):
             fleet._way.unit[cell] = math.cos(angle), math.sin(angle)
             x, y = fleet.xy[cell]
-            solid, people = made._hull_solid.arrays, made.crowd.walkers
+            solid, people = made.hull_solid.arrays, made.crowd.walkers
             read = _may_be_stopped(fleet._way, cell, step, x, y, people, solid, 0.1)
             stops = free_travel(fleet._bumper, cell, math.cos(angle), math.sin(angle)) < step
             assert read or not stops

@@ -6,6 +6,7 @@ import pytest
 from mjris.config import Config
 from mjris.config import World as WorldConfig
 from mjris.planning.sight_map import Grid, square
+from mjris.planning.terrain import Terrain
 from mjris.world.layout import load_layout
 from mjris.world.world import World
 
@@ -20,8 +21,9 @@ def world(num_cells: int, **options) -> World:
 
 def seen(made: World, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Obstacles [E, P, K + 1] from places [E, K, 2] and the AP to places [E, P, 2]."""
-    squares = np.array([[square(made.sight_map.grid, *place) for place in own] for own in high])
-    return np.take_along_axis(made.sight_map.blockers(low), squares[:, None], 2).swapaxes(1, 2)
+    sight_map = Terrain(made).sight_map
+    squares = np.array([[square(sight_map.grid, *place) for place in own] for own in high])
+    return np.take_along_axis(sight_map.blockers(low), squares[:, None], 2).swapaxes(1, 2)
 
 
 @pytest.mark.parametrize("options", [{}, {"layout_jitter_m": 0.3}, {"body_blockage": True}])
@@ -67,13 +69,13 @@ def test_every_number_has_a_square():
 
 
 def test_many_obstacles_are_counted_one_by_one(monkeypatch):
-    made = world(1)
+    made = Terrain(world(1))
     monkeypatch.setattr(made.sight_map._sight, "blockers", lambda _, end, **__: np.full(end.shape[:2], 255))
     assert (made.sight_map.blockers(np.array([[[7.0, 7.0]]]))[0, 0] == 255).all()
 
 
 def test_only_what_is_asked_for_is_cast_and_once(monkeypatch):
-    made, casts = world(2, layout_jitter_m=0.2), []
+    made, casts = Terrain(world(2, layout_jitter_m=0.2)), []
     sight = made.sight_map._sight
     counted = sight.blockers
     monkeypatch.setattr(

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError, Radio
-from mjris.planning.radio_map import bare_values, place_values
 from mjris.radio import propagation
 from mjris.radio.surface import element_amplitudes
+from mjris.simulation.outlook import bare_values, place_values
 from mjris.simulation.simulator import Simulator
 from mjris.world.footprints import Footprints, footprints
 from mjris.world.office import HULL_FLOOR_GAP_M, PERSON_HEIGHT_M, Office, hull_height, hull_radius

@@ -8,7 +8,7 @@ import numpy as np
 from mjris.config import Config
 from mjris.eval.playing import independent, play
 from mjris.eval.policies import Policy, fixed_ris
-from mjris.planning.radio_map import node_values
+from mjris.simulation.outlook import node_values
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId, Purpose, word
 
@@ -64,7 +64,7 @@ def promising(config: Config, seed: int) -> list[Spot]:
     A place counts with its best heading, and only where the rover gets to it in every scene's furniture.
     """
     simulator = Simulator(independent(config), [CellId(seed, scene) for scene in range(_SCENES)])
-    nodes = simulator.world.paths.nodes
+    nodes = simulator.terrain.paths.nodes
     promised = np.zeros((len(_HEADINGS_DEG), len(nodes)))
     for _ in range(_EPISODES):
         promised += [node_values(simulator, math.radians(heading)).mean(0) for heading in _HEADINGS_DEG]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mjris.config import Config
 from mjris.eval.optimum import best_known
 from mjris.eval.powers import best_powers
-from mjris.planning.radio_map import best_goals
 from mjris.radio.links import Channels
+from mjris.simulation.outlook import best_goals
 from mjris.simulation.scene import Controls
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import Purpose, generator
@@ -129,7 +129,7 @@ def planner(seed: int) -> Policy:
 def planned(simulator: Simulator) -> FloatArray:
     """Displacement [E, 2] [m] toward the place that promises most over the next slots, see `best_goals`."""
     goal, _ = best_goals(simulator)
-    return simulator.world.way_toward(goal)
+    return simulator.terrain.way_toward(goal)
 
 
 def parked(simulator: Simulator) -> FloatArray:

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from mjris.jit.compiled import compiled
 from mjris.planning import prediction
 from mjris.planning.sight_map import Grid, square
-from mjris.radio import equations, propagation
+from mjris.radio import equations
 from mjris.radio.serving import System
 from mjris.radio.tables import LinkTable
-from mjris.simulation.simulator import Simulator
 from mjris.world.facing import bisectors
 
 FloatArray = NDArray[np.floating]
@@ -20,7 +19,7 @@ BoolArray = NDArray[np.bool_]
 SmallArray = NDArray[np.int16]
 
 
-class _Floor(NamedTuple):
+class Ground(NamedTuple):
     """What predictions for places of E cells follow from."""
 
     table: LinkTable
@@ -42,82 +41,14 @@ class _Floor(NamedTuple):
     """λ of eq. (R)."""
 
 
-def _floor(simulator: Simulator, heading_rad: float = math.nan) -> _Floor:
-    """What predictions for the present scene follow from."""
-    config, world, users_xy = simulator.config, simulator.world, simulator.scene.users_xy
-    receivers = np.insert(users_xy, 2, world.config.user_height_m, -1)
-    return _Floor(
-        simulator.link_table,
-        simulator.system,
-        prediction.Arrays.of(config.radio),
-        world.sight_map.grid,
-        np.concatenate([receivers, simulator.ap_position[:, None]], 1),
-        simulator.aims(users_xy),
-        heading_rad,
-        world.sight_map.blockers(users_xy),
-        _direct_gains(simulator),
-        world.config.panel_height_m,
-        config.task.qos_penalty,
-    )
-
-
-def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
-    """Predicted sum rate with the QoS penalty, [E, P] [bit/s], with the RIS at `places` [E, P, 2] [m].
-
-    Obstacles are those of the `sight_map`, distances exact. The panel faces the bisector of AP and users, as the pan
-    motor would turn it.
-    """
-    return _values(_floor(simulator), np.ascontiguousarray(places), np.ones(places.shape[:2], np.bool_))
-
-
-def bare_values(simulator: Simulator) -> FloatArray:
-    """The same prediction without RIS, [E] [bit/s]."""
-    config, direct = simulator.config, _direct_gains(simulator)
-    nothing, qos_bps = np.zeros_like(direct), config.task.qos_bps
-    rates = prediction.predicted_rates(direct, nothing[:, 0], nothing, simulator.clusters, config.radio, qos_bps)
-    return penalised(rates, qos_bps, config.task.qos_penalty)
-
-
-def node_values(simulator: Simulator, heading_rad: float = math.nan) -> FloatArray:
-    """`place_values` [E, n] [bit/s] at the nodes of `World.paths`, -inf where unreachable.
-
-    With a heading all panels face there, counter-clockwise from +x [rad].
-    """
-    paths = simulator.world.paths
-    reachable = np.resize(paths.reachable, (simulator.num_cells, len(paths.nodes)))
-    return _values(_floor(simulator, heading_rad), paths.nodes[None], reachable)
-
-
-def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArray, FloatArray]:
-    """Where to drive [E, 2] [m] for the largest predicted sum over the next slots, and the mean of that [E] [bit/s].
-
-    Of the nodes of `World.paths` and the present place, the way there included. Users are taken to stay where they
-    are; the horizon is short because they do not.
-    """
-    world, paths = simulator.world, simulator.world.paths
-    here = simulator.scene.rover_xy
-    horizon_m = horizon_slots * world.config.max_speed_mps * world.config.slot_s
-    way_m = paths.distance_to_nodes(here)
-    # Only what can be reached by then is valued.
-    within, ground = way_m < horizon_m, _floor(simulator)
-    present = _values(ground, here[:, None], np.ones((len(here), 1), np.bool_))[:, 0]
-    values = _values(ground, paths.nodes[None], within)
-    along = paths.along(way_m, present, values, horizon_m)
-    return _best(here, paths.nodes, way_m, along, present, values, horizon_m)
-
-
 def penalised(rates_bps: FloatArray, qos_bps: float, penalty: float) -> FloatArray:
     """Sum rate [...] of rates [..., K] [bit/s], divided by λ where any user misses QoS, eq. (R)."""
     flat = np.ascontiguousarray(rates_bps).reshape(-1, rates_bps.shape[-1])
     return _all_penalised(flat, qos_bps, penalty).reshape(rates_bps.shape[:-1])
 
 
-def _direct_gains(simulator: Simulator) -> FloatArray:
-    return propagation.db_to_linear(-simulator.scene.path_loss_db[:, simulator.links.direct])
-
-
 @compiled
-def _best(
+def best(
     here: FloatArray,
     nodes: FloatArray,
     way_m: FloatArray,
@@ -126,7 +57,10 @@ def _best(
     values: FloatArray,
     horizon_m: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """`best_goals` for ways to nodes [E, n] [m], integrals of the value along them, and values here [E] and there."""
+    """Where to drive [E, 2] [m] for the largest mean value on a way of `horizon_m` [m], and that mean [E].
+
+    For ways to nodes [E, n] [m], integrals of the value `along` them, and values here [E] and there [E, n].
+    """
     goal, mean = here.copy(), present.copy()
     for e in range(len(here)):
         for node in range(len(nodes)):
@@ -138,7 +72,7 @@ def _best(
 
 
 @compiled
-def _values(ground: _Floor, places: FloatArray, wanted: BoolArray) -> FloatArray:
+def values_at(ground: Ground, places: FloatArray, wanted: BoolArray) -> FloatArray:
     """Values [E, P] [bit/s] of those `places` [E or 1, P, 2] [m] that are wanted [E, P], -inf of the others."""
     values, users = np.full(wanted.shape, -np.inf), ground.direct.shape[1]
     for e in range(len(values)):
@@ -156,7 +90,7 @@ def _values(ground: _Floor, places: FloatArray, wanted: BoolArray) -> FloatArray
 
 
 @compiled
-def _link_gains(ground: _Floor, cell: int, places: FloatArray, gains: FloatArray) -> None:
+def _link_gains(ground: Ground, cell: int, places: FloatArray, gains: FloatArray) -> None:
     """Write the power gains of the links RIS–users and, last, AP–RIS to `gains` [K + 1, P], patterns included.
 
     For a panel in a cell at `places` [P, 2] [m].

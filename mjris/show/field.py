@@ -22,7 +22,6 @@ from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId
 from mjris.simulation.task import Task
 from mjris.world.office import Office
-from mjris.world.world import World
 
 FloatArray = NDArray[np.floating]
 
@@ -59,7 +58,7 @@ def motion_field(config: Config, act: Act, seed: int) -> MotionField:
     still = independent(policy.changed(replace(config, world=replace(config.world, layout_jitter_m=0.0))))
     cell = CellId(seed, 0)
     alone = Simulator(still, [cell])
-    places = reachable_places(alone.world)
+    places = reachable_places(alone)
     task = Task(still, [cell] * len(places))
     simulator, world = task.simulator, task.simulator.world
     world.fleet.place(np.arange(len(places)), places, world.fleet.heading)
@@ -74,14 +73,15 @@ def motion_field(config: Config, act: Act, seed: int) -> MotionField:
     )
 
 
-def reachable_places(world: World, spacing_m: float = _SPACING_M) -> FloatArray:
-    """Places [P, 2] [m] of a grid over the floor of a world's first cell that its rover can reach, people apart."""
+def reachable_places(simulator: Simulator, spacing_m: float = _SPACING_M) -> FloatArray:
+    """Places [P, 2] [m] of a grid over the floor of a simulator's first cell that its rover can reach, people apart."""
+    world, paths = simulator.world, simulator.terrain.paths
     room = np.array(world.office(0).layout.room.size[:2])
     x, y = ((np.arange(count) + 0.5) * length / count for count, length in zip(room // spacing_m, room, strict=True))
     places = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    nodes = world.paths.nodes[world.paths.reachable[0]]
+    nodes = paths.nodes[paths.reachable[0]]
     nearest = nodes[((places[:, None] - nodes) ** 2).sum(-1).argmin(1)]
-    return places[world.free_share(nearest[None], places[None], world.paths.keep_m)[0] == np.inf]
+    return places[world.free_share(nearest[None], places[None], paths.keep_m)[0] == np.inf]
 
 
 def plot_motion_field(config: Config, field: MotionField, path: Path) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.jit.compiled import compiled
-from mjris.planning.radio_map import place_values
 from mjris.radio.links import Channels
+from mjris.simulation.outlook import place_values
 from mjris.simulation.simulator import Simulator
 
 FloatArray = NDArray[np.floating]

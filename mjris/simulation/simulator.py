@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
+from mjris.planning.terrain import Terrain
 from mjris.radio import closed_forms, fading, links, serving
 from mjris.radio.surface import Surface, effective_channel
 from mjris.radio.tables import LinkTable
@@ -50,6 +51,7 @@ class Simulator:
         num_cells = self.num_cells = len(self.cells)
         self._streams = Streams(self.cells)
         self.world = World(config, load_layout(config.world.layout), self._streams.furniture())
+        self.terrain = Terrain(self.world)
         radio = config.radio
         k, m, n = config.world.num_users, radio.num_antennas, radio.num_elements
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.planning.radio_map import bare_values, best_goals, penalised, place_values
+from mjris.planning.radio_map import penalised
 from mjris.radio.links import Channels
 from mjris.simulation import observation
 from mjris.simulation.checks import checked
+from mjris.simulation.outlook import bare_values, best_goals, place_values
 from mjris.simulation.scene import Controls, Scene, Slot
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId
@@ -135,8 +136,8 @@ class Task:
         # The square gives fine control nearby.
         offset = np.minimum(length, 1) * inside
         if self.config.task.motion == "waypoint":
-            return self.simulator.world.way_toward(self.simulator.scene.rover_xy + observation.FAR_M * offset)
-        return self.simulator.world.way_toward(self._goals()[0] + _GOAL_REACH_M * offset)
+            return self.simulator.terrain.way_toward(self.simulator.scene.rover_xy + observation.FAR_M * offset)
+        return self.simulator.terrain.way_toward(self._goals()[0] + _GOAL_REACH_M * offset)
 
     def _phases(self, action: FloatArray, channels: Channels) -> FloatArray:
         if self.config.task.phases == "random":

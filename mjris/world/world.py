@@ -1,24 +1,20 @@
 """The physical side of E cells on one MuJoCo batch: offices, rovers, people and lines of sight."""
 
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.planning.paths import Paths
-from mjris.planning.sight_map import SightMap
 from mjris.world.drives import make_fleet
-from mjris.world.fit import WAY_MARGIN_M, check_fit, kept_distance, rover_start
+from mjris.world.fit import check_fit, rover_start
 from mjris.world.footprints import footprints
 from mjris.world.jitter import jittered
 from mjris.world.layout import Layout
 from mjris.world.office import (
     HULL_FLOOR_GAP_M,
     PERSON_HEIGHT_M,
-    PERSON_RADIUS_M,
     Office,
     build,
     hull_height,
@@ -56,11 +52,11 @@ class World:
         if jitter > 0:
             self.batch.set_models([each.model for each in self.offices])
         self.hull_radius_m = hull_radius(config)
-        self._keep_m = kept_distance(config)
-        self._hull_solid = footprints(self.offices, HULL_FLOOR_GAP_M, hull_height(config))
+        self.hull_solid = footprints(self.offices, HULL_FLOOR_GAP_M, hull_height(config))
+        """What the hull can bump into but people."""
         self._body_solid = footprints(self.offices, 0.0, PERSON_HEIGHT_M)
         self.crowd = Crowd(config.world, office, self.batch, self._body_solid)
-        self.fleet = make_fleet(config.world, office, self.batch, self._hull_solid, self.crowd)
+        self.fleet = make_fleet(config.world, office, self.batch, self.hull_solid, self.crowd)
         self.sight = Sight(self.offices, self.crowd.walkers.xy if config.world.body_blockage else None)
         self.on_tick: Callable[[], None] | None = None
         """Called after every tick, for those who film."""
@@ -116,33 +112,7 @@ class World:
 
         From `start` [E, P or 1, 2] to `end` [E, P, 2] [m]. It is inf where nothing is in the way.
         """
-        return self._hull_solid.free_share(start, end, keep_m)
-
-    def way_toward(self, goal: FloatArray) -> FloatArray:
-        """The next slot's displacement [E, 2] [m] on the shortest ways to `goal` [E, 2] [m], and around people."""
-        here = self.fleet.xy
-        move = (
-            self.paths.around(here, self.paths.toward(here, goal), self.crowd.xy, self.paths.keep_m + PERSON_RADIUS_M)
-            - here
-        )
-        reach = self.config.max_speed_mps * self.config.slot_s
-        return move * np.minimum(1, reach / np.maximum(np.linalg.norm(move, axis=-1, keepdims=True), 1e-12))
-
-    @cached_property
-    def paths(self) -> Paths:
-        """Shortest ways for the rovers, worked out when first asked for."""
-        layout = self.office(0).layout
-        return Paths(self._hull_solid, layout.room.size[:2], self.start, self._keep_m + WAY_MARGIN_M)
-
-    @cached_property
-    def sight_map(self) -> SightMap:
-        """Furniture between the users' and the panel's height, and to the AP; people do not count."""
-        layout = self.office(0).layout
-        ap = np.stack([office.ap_position for office in self.offices])
-        room = np.array(layout.room.size[:2])
-        return SightMap(
-            Sight(self.offices), room, self.start, ap, self.config.user_height_m, self.config.panel_height_m
-        )
+        return self.hull_solid.free_share(start, end, keep_m)
 
 
 def _raised(xy: FloatArray, height_m: float) -> FloatArray:

@@ -1,0 +1,82 @@
+"""What places are worth to the RIS in the present scene of a simulator: the radio map around the rovers."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjris.planning import prediction, radio_map
+from mjris.planning.radio_map import Ground, penalised
+from mjris.radio import propagation
+from mjris.simulation.simulator import Simulator
+
+FloatArray = NDArray[np.floating]
+
+
+def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
+    """Predicted sum rate with the QoS penalty, [E, P] [bit/s], with the RIS at `places` [E, P, 2] [m].
+
+    Obstacles are those of the `sight_map`, distances exact. The panel faces the bisector of AP and users, as the pan
+    motor would turn it.
+    """
+    everywhere = np.ones(places.shape[:2], np.bool_)
+    return radio_map.values_at(_ground(simulator), np.ascontiguousarray(places), everywhere)
+
+
+def bare_values(simulator: Simulator) -> FloatArray:
+    """The same prediction without RIS, [E] [bit/s]."""
+    config, direct = simulator.config, _direct_gains(simulator)
+    nothing, qos_bps = np.zeros_like(direct), config.task.qos_bps
+    rates = prediction.predicted_rates(direct, nothing[:, 0], nothing, simulator.clusters, config.radio, qos_bps)
+    return penalised(rates, qos_bps, config.task.qos_penalty)
+
+
+def node_values(simulator: Simulator, heading_rad: float = math.nan) -> FloatArray:
+    """`place_values` [E, n] [bit/s] at the nodes of `Terrain.paths`, -inf where unreachable.
+
+    With a heading all panels face there, counter-clockwise from +x [rad].
+    """
+    paths = simulator.terrain.paths
+    reachable = np.resize(paths.reachable, (simulator.num_cells, len(paths.nodes)))
+    return radio_map.values_at(_ground(simulator, heading_rad), paths.nodes[None], reachable)
+
+
+def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArray, FloatArray]:
+    """Where to drive [E, 2] [m] for the largest predicted sum over the next slots, and the mean of that [E] [bit/s].
+
+    Of the nodes of `Terrain.paths` and the present place, the way there included. Users are taken to stay where they
+    are; the horizon is short because they do not.
+    """
+    world, paths = simulator.config.world, simulator.terrain.paths
+    here = simulator.scene.rover_xy
+    horizon_m = horizon_slots * world.max_speed_mps * world.slot_s
+    way_m = paths.distance_to_nodes(here)
+    # Only what can be reached by then is valued.
+    within, ground = way_m < horizon_m, _ground(simulator)
+    present = radio_map.values_at(ground, here[:, None], np.ones((len(here), 1), np.bool_))[:, 0]
+    values = radio_map.values_at(ground, paths.nodes[None], within)
+    along = paths.along(way_m, present, values, horizon_m)
+    return radio_map.best(here, paths.nodes, way_m, along, present, values, horizon_m)
+
+
+def _ground(simulator: Simulator, heading_rad: float = math.nan) -> Ground:
+    """What predictions for the present scene follow from."""
+    config, sight_map, users_xy = simulator.config, simulator.terrain.sight_map, simulator.scene.users_xy
+    receivers = np.insert(users_xy, 2, config.world.user_height_m, -1)
+    return Ground(
+        simulator.link_table,
+        simulator.system,
+        prediction.Arrays.of(config.radio),
+        sight_map.grid,
+        np.concatenate([receivers, simulator.ap_position[:, None]], 1),
+        simulator.aims(users_xy),
+        heading_rad,
+        sight_map.blockers(users_xy),
+        _direct_gains(simulator),
+        config.world.panel_height_m,
+        config.task.qos_penalty,
+    )
+
+
+def _direct_gains(simulator: Simulator) -> FloatArray:
+    return propagation.db_to_linear(-simulator.scene.path_loss_db[:, simulator.links.direct])
