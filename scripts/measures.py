@@ -160,7 +160,7 @@ def stock_seconds(config: Config, slots: int) -> float:
         OfficeEnv(config),
         batch_size=config.agent.batch_size,
         learning_starts=slots // 2,
-        policy_kwargs={"net_arch": hidden_layers(config.agent, config.radio)},
+        policy_kwargs={"net_arch": hidden_layers(config)},
         device="cpu",
     )
     agent.learn(slots)

@@ -148,7 +148,7 @@ def driving(config: Config, study: Study, advance: Callable[[], None]) -> Judged
 def episode(config: Config, study: Study, drive: Callable[[Simulator], FloatArray]) -> Iterator[Simulator]:
     """The simulator in every judged slot of an episode in which `drive` says where to, [E, 2] [m]."""
     simulator = Simulator(config, [CellId(study.seed, scene) for scene in range(study.scenes)])
-    phases = np.zeros((study.scenes, config.radio.num_elements))
+    phases = np.zeros((study.scenes, simulator.num_elements))
     powers = np.zeros((study.scenes, config.world.num_users))
     for slot in range(study.slots):
         if slot % study.every == 0:

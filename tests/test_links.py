@@ -22,7 +22,7 @@ WAVELENGTH = 0.15
 
 
 def test_links_are_users_panels_with_users_and_panels():
-    made = Links(2, 3)
+    made = Links(2, np.array([4, 1, 6]))
     assert (made.direct, made.reflected, made.incident) == (slice(0, 2), slice(2, 8), slice(8, 11))
     assert made.person.tolist() == [0, 1, 0, 1, 0, 1, 0, 1, -1, -1, -1]
     assert made.panel.tolist() == [-1, -1, 0, 0, 1, 1, 2, 2, 0, 1, 2]
@@ -31,7 +31,7 @@ def test_links_are_users_panels_with_users_and_panels():
 def test_links_end_where_everything_stands():
     rng = np.random.default_rng(3)
     ap, panels, receivers = rng.random((4, 3)), rng.random((4, 2, 3)), rng.random((4, 3, 3))
-    start, end = Links(3, 2).ends(ap, panels, receivers)
+    start, end = Links(3, np.array([4, 4])).ends(ap, panels, receivers)
     for e in range(4):
         expected = [(receivers[e, k], ap[e]) for k in range(3)]
         expected += [(receivers[e, k], panels[e, s]) for s in range(2) for k in range(3)]
@@ -43,14 +43,13 @@ def test_links_end_where_everything_stands():
 @given(st.integers(0, 2**32 - 1), SHAPES)
 def test_every_entry_has_the_phase_of_its_own_way_and_the_gain_of_its_link(seed, shape):
     cells, users, antennas, sizes = shape
-    rng, made, counts = np.random.default_rng(seed), Links(users, len(sizes)), [math.prod(size) for size in sizes]
+    rng, counts = np.random.default_rng(seed), [math.prod(size) for size in sizes]
+    made = Links(users, np.array(counts))
     ap, people, elements = (rng.uniform(-5, 5, (cells, count, 3)) for count in (antennas, users, sum(counts)))
     gain = rng.uniform(1e-10, 1e-4, (cells, len(made.panel)))
     k_factor = np.where(rng.random(gain.shape) < 0.5, 0.0, rng.uniform(0, 100, gain.shape))
     diffuse = complex_normal(rng, (cells, users * antennas + sum(counts) * (antennas + users)))
-    found = links.channels(
-        made, ap, people, elements, np.array(counts), Means(gain, gain, k_factor), diffuse, WAVELENGTH
-    )
+    found = links.channels(made, ap, people, elements, Means(gain, gain, k_factor), diffuse, WAVELENGTH)
     panel_of = [s for s, count in enumerate(counts) for _ in range(count)]
     for e in range(cells):
         left = iter(diffuse[e])
@@ -82,7 +81,7 @@ def test_rician_has_unit_power_and_its_k_factor(k_factor):
     gain, ratio = np.ones((1, 3)), np.full((1, 3), k_factor)
     places = np.zeros((1, 1, 3)), np.ones((1, 1, 3)), np.ones((1, samples, 3))
     diffuse = complex_normal(rng, (1, 1 + 2 * samples))
-    made = links.channels(Links(1, 1), *places, np.array([samples]), Means(gain, gain, ratio), diffuse, WAVELENGTH)
+    made = links.channels(Links(1, np.array([samples])), *places, Means(gain, gain, ratio), diffuse, WAVELENGTH)
     fading = made.incident[0, :, 0]
     specular, scattered = abs(np.mean(fading)) ** 2, np.var(fading)
     assert specular + scattered == pytest.approx(1, abs=0.01)
@@ -95,7 +94,7 @@ def test_rician_has_unit_power_and_its_k_factor(k_factor):
 @pytest.mark.parametrize("pattern", ["isotropic", "cosine"])
 def test_means_are_path_loss_and_pattern_of_the_panel_at_the_end(table, pattern):
     radio = Radio(link_table=table, element_pattern=pattern, element_exponent=0.8, rician_k_db=5.0)
-    rng, made, cells = np.random.default_rng(0), Links(3, 2), 20
+    rng, made, cells = np.random.default_rng(0), Links(3, np.array([4, 4])), 20
     ap, panels = rng.uniform(0, 6, (cells, 3)), rng.uniform(0, 6, (cells, 2, 3))
     receivers, heading = rng.uniform(0, 6, (cells, 3, 3)), rng.uniform(-4, 4, (cells, 2))
     receivers[0, 0] = panels[0, 0]  # no distance at all, hence no direction

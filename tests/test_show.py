@@ -13,6 +13,7 @@ import pytest
 from matplotlib.image import imread
 
 from mjris.config import ConfigError, preset
+from mjris.radio.links import Links
 from mjris.show.overlay import phase_rgb
 from mjris.show.palette import BLOCKED, CLEAR, USERS, rgb, user_colour
 from mjris.show.rollout import record
@@ -81,8 +82,9 @@ def test_lines_are_coloured_by_sight():
     ap, panel = np.array([0.0, 0, 2.6]), np.array([4.0, 0, 1.5])
     receivers = np.array([[1.0, 2, 1.1], [3, 3, 1.1]])
     blockers = np.array([0, 2, 1, 0, 0])
-    lines = link_lines(ap, panel, receivers, blockers)
-    ends = [(ap, receivers[0]), (ap, receivers[1]), (panel, receivers[0]), (panel, receivers[1]), (ap, panel)]
+    lines = link_lines(Links(2, np.array([4])), ap, panel[None], receivers, blockers)
+    users = [(person, end) for end in (ap, panel) for person in receivers]
+    ends = [*users, (ap, panel)]
     for line, (start, end), count in zip(lines, ends, blockers, strict=True):
         np.testing.assert_array_equal(line.start, start)
         np.testing.assert_array_equal(line.end, end)

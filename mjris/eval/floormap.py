@@ -30,8 +30,9 @@ class FloorMap:
 
     The SNR is that of a single user with all of the power in the whole band, at the mean gain of matched beams:
     P_max M g_d / σ², and its rate B log2(1 + SNR). The RIS adds its ideal cascade,
-    P_max M (√g_d + N β √(g_i g_r))² / σ²: all elements in phase with the direct path, and the AP's beam on both at
-    once, which a single antenna reaches and several can only come near. Gains g hold path loss and element patterns.
+    P_max M (√g_d + Σ_s N_s β √(g_i g_r))² / σ²: all elements of all panels in phase with the direct path, and the AP's
+    beam on all at once, which a single antenna reaches and several can only come near. Gains g hold path loss and
+    element patterns.
     """
 
     x_m: FloatArray
@@ -49,9 +50,9 @@ class FloorMap:
     rate_bps: FloatArray
     """Without RIS [ny, nx] [bit/s]."""
     ris_snr_db: FloatArray
-    """With the RIS at `ris_xy_m` [ny, nx] [dB]."""
+    """With the rover at `ris_xy_m` [ny, nx] [dB]."""
     ris_rate_bps: FloatArray
-    """With the RIS at `ris_xy_m` [ny, nx] [bit/s]."""
+    """With the rover at `ris_xy_m` [ny, nx] [bit/s]."""
     place_x_m: FloatArray
     """Columns of the grid of places [px] [m]."""
     place_y_m: FloatArray
@@ -99,9 +100,12 @@ def floor_map(
     receivers = _at_height(points, config.world.user_height_m)
     blockers, loss_db = links(simulator, receivers, simulator.ap_position[0])
     direct = propagation.db_to_linear(-loss_db)
-    one_element = _one_element(simulator, receivers, ris_xy, heading)
-    snr = _snr(direct, config.radio)
-    ris_snr = _snr((np.sqrt(direct) + config.radio.num_elements * one_element) ** 2, config.radio)
+    panels, headings = simulator.world.panel_centres()[0], simulator.world.panel_headings()[0]
+    panels[0, :2], headings[0] = ris_xy, heading
+    amplitude = np.sqrt(direct)
+    for panel, facing, elements in zip(panels, headings, simulator.links.elements, strict=True):
+        amplitude += elements * _one_element(simulator, receivers, panel, facing)
+    snr, ris_snr = _snr(direct, config.radio), _snr(amplitude**2, config.radio)
     bare = bare_values(simulator)[0]
     body = footprints([office], 0.0, PERSON_HEIGHT_M)
     return FloorMap(
@@ -143,10 +147,9 @@ def _snr(gain: FloatArray, radio: Radio) -> FloatArray:
     return radio.tx_power_w * radio.num_antennas * gain / radio.noise_w
 
 
-def _one_element(simulator: Simulator, receivers: FloatArray, ris_xy: FloatArray, heading: FloatArray) -> FloatArray:
-    """Mean amplitude from AP to receivers [..., 3] [m] by way of one element [...]."""
+def _one_element(simulator: Simulator, receivers: FloatArray, panel: FloatArray, heading: float) -> FloatArray:
+    """Mean amplitude from AP to receivers [..., 3] [m] by way of one element [...] of a panel at a place [3] [m]."""
     radio = simulator.config.radio
-    panel = _at_height(ris_xy, simulator.config.world.panel_height_m)
     ends = np.concatenate([receivers.reshape(-1, 3), simulator.ap_position])
     _, loss_db = links(simulator, ends, panel)
     ahead = (ends - panel) @ np.array([np.cos(heading), np.sin(heading), 0.0])

@@ -99,7 +99,7 @@ def no_ris() -> Policy:
         def tune(channels: Channels) -> tuple[FloatArray, FloatArray]:
             qos_bps, order = config.task.qos_bps, simulator.order
             powers = best_powers(channels.direct, simulator.clusters, config.radio, qos_bps, order)
-            return np.zeros((simulator.num_cells, config.radio.num_elements)), powers
+            return np.zeros((simulator.num_cells, simulator.num_elements)), powers
 
         return Controls(parked(simulator), *tune(simulator.scene.known), retune=tune)
 

@@ -13,7 +13,8 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.td3.policies import Actor, TD3Policy
 from torch import nn
 
-from mjris.config import Agent, Config, Radio
+from mjris.config import Config
+from mjris.world.panels import all_elements
 
 _OU_THETA = 0.15  # rate of mean reversion a slot, the value of the DDPG paper (Lillicrap et al., 2015)
 
@@ -172,7 +173,7 @@ def build_agent(config: Config, env: gym.Env, rng: np.random.Generator, first_we
             env.action_space.shape[0], agent.noise_scale, config.federation.episodes * config.task.slots, rng
         ),
         policy_kwargs={
-            "net_arch": hidden_layers(agent, config.radio),
+            "net_arch": hidden_layers(config),
             "n_critics": 1,
             "optimizer_kwargs": {"fused": True},  # one call instead of a dozen for every small tensor
             **({} if agent.network == "paper" else {"caution": agent.caution}),
@@ -190,10 +191,11 @@ def weights_seed(rng: np.random.Generator) -> int:
     return int(rng.integers(2**32))
 
 
-def hidden_layers(agent: Agent, radio: Radio) -> dict[str, Any]:
+def hidden_layers(config: Config) -> dict[str, Any]:
     """Widths of the hidden layers of actor (pi) and critic (qf)."""
+    agent = config.agent
     if agent.network == "mlp":
         return {"pi": list(agent.hidden), "qf": list(agent.hidden)}
     # The paper gives 4MN for the actor and "a minor size" for the critic; half of it is our choice.
-    width = 4 * radio.num_antennas * radio.num_elements
+    width = 4 * config.radio.num_antennas * all_elements(config)
     return {"pi": [width], "qf": [width // 2]}

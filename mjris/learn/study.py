@@ -16,6 +16,7 @@ from mjris.cores import CORES
 from mjris.envs.gym_env import OfficeEnv
 from mjris.learn.federation import EnvFactory, EpisodeMetrics
 from mjris.learn.run import train_many
+from mjris.world.panels import all_elements
 
 Report = Callable[[int, int], None]
 """Is called now and then with how many episodes of all missing runs are over, and how many there are."""
@@ -87,7 +88,7 @@ def _stacks(configs: Sequence[Config], cores: int) -> list[list[Config]]:
 def _shape(config: Config) -> tuple[Any, ...]:
     """What the configs of a stack must have in common, see `StackedRuns`: sections, and what sizes follow from."""
     world, radio, task = config.world, config.radio, config.task
-    sizes = world.num_users, world.pan == "action", radio.num_antennas, radio.num_elements
+    sizes = world.num_users, world.pan == "action", radio.num_antennas, all_elements(config)
     agent = replace(config.agent, learning_rate=1.0)  # which may differ
     return agent, config.federation, task.slots, task.observation, task.phase_control, *sizes
 

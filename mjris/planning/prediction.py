@@ -1,6 +1,5 @@
-"""What the RIS would give at places, predicted from geometry alone: mean amplitudes, no fading, no interference."""
+"""What the rover's panel would give at places, from geometry alone: mean amplitudes, no fading, no interference."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ IntArray = NDArray[np.int64]
 
 
 class Arrays(NamedTuple):
-    """The antennas and the panel."""
+    """The antennas and the rover's panel."""
 
     antennas: int
     elements: int
@@ -57,10 +56,12 @@ def predicted_rates(
 def _predict_all(
     system: System, arrays: Arrays, direct: FloatArray, incident: FloatArray, reflected: FloatArray
 ) -> FloatArray:
+    no_others = np.empty((len(direct), 0)), np.empty((len(direct), 0, direct.shape[1])), np.empty(0, np.int64)
+    beside = beside_rover(system, arrays, direct, *no_others)
     rates, gains, sorted_rates = np.empty(direct.shape), np.empty((direct.shape[1], 1)), np.empty((direct.shape[1], 1))
     for place in range(len(direct)):
         gains[:, 0] = reflected[place]
-        with_panel(system, arrays, direct[place], incident[place : place + 1], gains)
+        with_panel(system, arrays, beside.coherent[place], beside.scattered[place], incident[place : place + 1], gains)
         users = system.clusters if system.oma else ascending(system.clusters, gains[:, 0])
         predict(system, arrays, gains, sorted_rates)
         for v in range(len(users)):
@@ -69,19 +70,59 @@ def _predict_all(
     return rates
 
 
+class Beside(NamedTuple):
+    """What reaches users beside the paths over the rover's panel."""
+
+    coherent: FloatArray
+    """Mean amplitude of what is in phase [E, K]."""
+    scattered: FloatArray
+    """Mean power of what adds up at random [E, K]."""
+
+
 @compiled
-def with_panel(system: System, arrays: Arrays, direct: FloatArray, incident: FloatArray, reflected: FloatArray) -> None:
+def beside_rover(
+    system: System,
+    arrays: Arrays,
+    direct: FloatArray,
+    incident: FloatArray,
+    reflected: FloatArray,
+    elements: IntArray,
+) -> Beside:
+    """`Beside` for power gains `direct` [E, K], and `incident` [E, S] and `reflected` [E, S, K] of the fixed panels.
+
+    Panels with `elements` [S] are shared by clusters, as the rover's is.
+    """
+    beside = Beside(np.sqrt(direct), np.zeros(direct.shape))
+    for e in range(direct.shape[0]):
+        for s in range(len(elements)):
+            in_phase = elements[s] / len(system.clusters)
+            for k in range(direct.shape[1]):
+                one_element = element_amplitude(arrays.surface, incident[e, s], reflected[e, s, k])
+                beside.coherent[e, k] += in_phase * one_element
+                beside.scattered[e, k] += (elements[s] - in_phase) * one_element**2
+    return beside
+
+
+@compiled
+def with_panel(
+    system: System,
+    arrays: Arrays,
+    coherent: FloatArray,
+    scattered: FloatArray,
+    incident: FloatArray,
+    reflected: FloatArray,
+) -> None:
     """Write the users' gains over noise with the panel at P places, of one antenna each, over `reflected` [K, P].
 
-    For power gains `direct` [K], `incident` [P] and `reflected`.
+    For power gains `incident` [P] and `reflected`, and for what is `Beside` them, [K] each.
     """
     in_phase = arrays.elements / len(system.clusters)
-    for k in range(len(direct)):
-        alone, gains = math.sqrt(direct[k]), reflected[k]
+    for k in range(len(coherent)):
+        alone, diffuse, gains = coherent[k], scattered[k], reflected[k]
         for p in range(len(gains)):
             one_element = element_amplitude(arrays.surface, incident[p], gains[p])
-            coherent, scattered = alone + in_phase * one_element, (arrays.elements - in_phase) * one_element**2
-            gains[p] = (coherent * coherent + scattered) / system.noise_w
+            amplitude, power = alone + in_phase * one_element, (arrays.elements - in_phase) * one_element**2
+            gains[p] = (amplitude * amplitude + power + diffuse) / system.noise_w
 
 
 @compiled

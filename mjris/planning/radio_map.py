@@ -34,8 +34,8 @@ class Ground(NamedTuple):
     """Where they face instead, NaN if nowhere else."""
     blockers: SmallArray
     """Obstacles from there to the squares of the grid [E, K + 1, s]."""
-    direct: FloatArray
-    """Power gains of the links AP–users [E, K]."""
+    beside: prediction.Beside
+    """What reaches users without the rover's panel."""
     panel_height_m: float
     qos_penalty: float
     """λ of eq. (R)."""
@@ -74,12 +74,13 @@ def best(
 @compiled
 def values_at(ground: Ground, places: FloatArray, wanted: BoolArray) -> FloatArray:
     """Values [E, P] [bit/s] of those `places` [E or 1, P, 2] [m] that are wanted [E, P], -inf of the others."""
-    values, users = np.full(wanted.shape, -np.inf), ground.direct.shape[1]
+    values, users = np.full(wanted.shape, -np.inf), ground.beside.coherent.shape[1]
     for e in range(len(values)):
         here = places[e % len(places)][wanted[e]]
         gains, rates = np.empty((users + 1, len(here))), np.empty((users, len(here)))
         _link_gains(ground, e, here, gains)
-        prediction.with_panel(ground.system, ground.arrays, ground.direct[e], gains[users], gains[:users])
+        beside = ground.beside.coherent[e], ground.beside.scattered[e]
+        prediction.with_panel(ground.system, ground.arrays, *beside, gains[users], gains[:users])
         prediction.predict(ground.system, ground.arrays, gains[:users], rates)
         at = 0
         for p in range(len(wanted[e])):

@@ -33,8 +33,9 @@ class Channels(NamedTuple):
 class Links:
     """Which links there are in a cell with K users and S panels: L = K + S K + S, on one axis."""
 
-    def __init__(self, users: int, panels: int):
-        self.users, self.panels = users, panels
+    def __init__(self, users: int, elements: IntArray):
+        """`elements` [S] are those of every panel."""
+        panels, self.elements = len(elements), elements
         self.direct = slice(0, users)
         """AP–users."""
         self.reflected = slice(users, users + panels * users)
@@ -141,12 +142,11 @@ def channels(
     antennas: FloatArray,
     receivers: FloatArray,
     elements: FloatArray,
-    counts: IntArray,
     mean: Means,
     diffuse: ComplexArray,
     wavelength_m: float,
 ) -> Channels:
-    """Channels of E cells with K users, M antennas and N elements, of which every panel has `counts` [S].
+    """Channels of E cells with K users, M antennas and N elements.
 
     `antennas` [E, M, 3], `receivers` [E, K, 3] and `elements` [E, N, 3] are places [m], so that every entry has the
     phase exp(-j 2π d / λ) of its own distance: spherical waves. `diffuse` [E, K M + N M + K N] is the diffuse part of
@@ -158,7 +158,7 @@ def channels(
     reflected = np.empty((cells, users, rows), np.complex128)
     places = antennas, receivers, elements
     gain, k_factor, parts = mean.gain, mean.k_factor, (direct, incident, reflected)
-    _fill(*parts, *places, links.person, links.panel, counts, gain, k_factor, diffuse, 1 / wavelength_m)
+    _fill(*parts, *places, links.person, links.panel, links.elements, gain, k_factor, diffuse, 1 / wavelength_m)
     return Channels(direct, incident, reflected)
 
 

@@ -16,7 +16,7 @@ from mjris.config import Config
 from mjris.eval.floormap import FloorMap, floor_map
 from mjris.eval.playing import independent
 from mjris.eval.policies import Act, agent_policies
-from mjris.show.maps import draw_furniture
+from mjris.show.maps import draw_boards, draw_furniture
 from mjris.show.palette import user_colour
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId
@@ -93,6 +93,7 @@ def plot_motion_field(config: Config, field: MotionField, path: Path) -> None:
         axes = figure.add_subplot()
         worth = axes.imshow(floor.place_gain_bps / 1e6, origin="lower", extent=(0, x, 0, y), cmap=_LIGHT, zorder=1)
         draw_furniture(axes, office, config.world.user_height_m)
+        draw_boards(axes, office)
         _draw_arrows(axes, field)
         _draw_marks(axes, office, floor)
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", xlabel="x [m]", ylabel="y [m]")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError
 from mjris.eval.floormap import FloorMap
-from mjris.show.palette import rgb, user_colour
+from mjris.show.palette import BOARD, rgb, user_colour
 from mjris.world.footprints import footprints
 from mjris.world.office import Office, compose
 
@@ -36,6 +36,7 @@ _INK = "#222222"
 _TALL, _LOW = "#8a8a8a", "#dedede"
 _NOWHERE = "#c4c4c4"
 _TEXELS_PER_M = 20
+_BAR_M = 0.9
 _SHOWN_GROUPS = (0, 1, 2, 3)
 _PICTURE = 840, 720
 """Width and height of the rendered office [px]."""
@@ -87,6 +88,7 @@ def draw_field(config: Config, office: Office, floor: FloorMap, name: str, path:
         axes = figure.add_subplot()
         axes.imshow(drawn.values, origin="lower", extent=(0, x, 0, y), norm=drawn.norm, cmap=drawn.colours, zorder=1)
         draw_furniture(axes, office, config.world.user_height_m)
+        draw_boards(axes, office)
         _draw_marks(axes, office, floor)
         axes.set(xlim=(0, x), ylim=(0, y), aspect="equal", xlabel="x [m]", ylabel="y [m]", title=drawn.title)
         for axis in (axes.xaxis, axes.yaxis):
@@ -147,6 +149,19 @@ def draw_furniture(axes: Axes, office: Office, receiver_m: float) -> None:
     for low, high, colour, words in ((0.0, top, _LOW, "furniture"), (receiver_m, top, _TALL, "above the receivers")):
         style: dict[str, Any] = {"facecolor": colour, "edgecolor": _INK, "linewidth": 0.3, "zorder": 2}
         axes.add_collection(PolyCollection(list(_outlines(office, low, high)), label=words, **style))
+
+
+def draw_boards(axes: Axes, office: Office) -> None:
+    """Fixed panels, as bars with a short arrow where they face; no panel is so wide that its own width would show."""
+    for index, panel in enumerate(office.layout.ris):
+        facing = np.array([math.cos(panel.facing), math.sin(panel.facing)])
+        along = _BAR_M / 2 * np.array([-facing[1], facing[0]])
+        middle = np.array(panel.at[:2])
+        label = None if index else "fixed panel"
+        ends = np.stack([middle - along, middle + along]).T
+        axes.plot(*ends, color=BOARD, lw=2.2, solid_capstyle="butt", clip_on=False, zorder=5, label=label)
+        arrow = {"arrowstyle": "-|>", "color": BOARD, "lw": 0.8, "mutation_scale": 6, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", tuple(middle + 0.7 * facing), tuple(middle), arrowprops=arrow, zorder=5)
 
 
 def _outlines(office: Office, low_m: float, high_m: float) -> FloatArray:

@@ -1,7 +1,9 @@
-"""What a video says in words: slot, rates and QoS of every user, sum rate and the panel's phases."""
+"""What a video says in words: slot, rates and QoS of every user, sum rate and the panels' phases."""
 
 import colorsys
+import itertools
 import math
+from collections.abc import Sequence
 
 import matplotlib.font_manager
 import numpy as np
@@ -16,6 +18,8 @@ Picture = NDArray[np.uint8]
 _PAPER = (27, 34, 43)
 _INK = (245, 247, 250)
 _FAINT = (150, 160, 172)
+_GAP = 0.7
+"""Between panels, in sides of an element."""
 
 
 def phase_rgb(phase_rad: float) -> tuple[float, float, float]:
@@ -26,10 +30,10 @@ def phase_rgb(phase_rad: float) -> tuple[float, float, float]:
 class Overlay:
     """The column beside the office: words above, the rover from close by below them, and the legend."""
 
-    def __init__(self, rollout: Rollout, panel_shape: tuple[int, int], width: int, height: int):
-        """`panel_shape` is rows and columns of the panel, `width` and `height` [px] those of the column."""
+    def __init__(self, rollout: Rollout, panel_sizes: Sequence[tuple[int, int]], width: int, height: int):
+        """`panel_sizes` are rows and columns of all panels, `width` and `height` [px] those of the column."""
         self._rollout = rollout
-        self._panel_shape = panel_shape
+        self._panel_sizes = panel_sizes
         self._size = (width, height)
         users = rollout.rates_bps.shape[1]
         self._em = min(width / 15, height / (1.5 * (users + 20)))
@@ -95,17 +99,22 @@ class Overlay:
         draw.ellipse((x - r, y - r, x + r, y + r), rgb(CLEAR))
 
     def _phases(self, draw: ImageDraw.ImageDraw, slot: int, box: tuple[float, float, float, float]) -> None:
-        """The panel seen from its front, each element in the hue of its phase."""
+        """The panels seen from their fronts, the rover's on the left, each element in the hue of its phase."""
         left, top, right, bottom = box
-        rows, cols = self._panel_shape
         draw.text((left, (top + bottom) / 2), "Phases", _INK, self._font, anchor="lm")
-        side = min((bottom - top) / rows, (right - left) / 2 / cols)
-        left = right - cols * side
-        for n, phase in enumerate(self._rollout.phases_rad[slot]):
-            row, col = divmod(n, cols)
-            red, green, blue = (round(255 * part) for part in phase_rgb(phase))
-            x, y = left + (cols - 1 - col) * side, top + row * side
-            draw.rectangle((x, y, x + side - 1.5, y + side - 1.5), (red, green, blue))
+        wide, high = sum(cols for _, cols in self._panel_sizes), max(rows for rows, _ in self._panel_sizes)
+        gaps = _GAP * (len(self._panel_sizes) - 1)
+        side = min((bottom - top) / high, (right - left) * 0.6 / (wide + gaps))
+        left = right - (wide + gaps) * side
+        phases = iter(self._rollout.phases_rad[slot])
+        for rows, cols in self._panel_sizes:
+            for row, col in itertools.product(range(rows), range(cols)):
+                red, green, blue = (round(255 * part) for part in phase_rgb(next(phases)))
+                # Elements are counted from the bottom, and to the left as the panel is seen.
+                x, y = left + (cols - 1 - col) * side, bottom - (row + 1) * side
+                edge = min(1.5, side / 4)
+                draw.rectangle((x, y, x + side - edge, y + side - edge), (red, green, blue))
+            left += (cols + _GAP) * side
 
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
         em = self._em

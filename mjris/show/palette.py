@@ -5,6 +5,8 @@ CLEAR = "#14bd95"
 BLOCKED = "#f26b2e"
 """Blocked links."""
 ROVER = "#e69f00"
+BOARD = "#1b7f5c"
+"""Fixed panels."""
 STOPS = "#0072b2"
 USERS = ("#d6409f", "#56b4e9", "#9c5a2a", "#7a5bd0", "#e0cf1f", "#f2f2f2")
 """Users in turn; more than these share colours."""

@@ -17,7 +17,7 @@ Act = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 
 @dataclass(frozen=True)
 class Rollout:
-    """T slots of an episode, with F = T · ticks a slot poses, N elements and K users."""
+    """T slots of an episode, with F = T · ticks a slot poses, N elements of all panels, K users and L links."""
 
     qpos: FloatArray
     """Positions of all joints after every tick [F, nq]."""
@@ -32,7 +32,7 @@ class Rollout:
     qos_met: NDArray[np.bool_]
     """[T, K]"""
     blockers: IntArray
-    """Obstacles on the links as each slot began: AP–users, RIS–users, AP–RIS [T, 2K + 1]."""
+    """Obstacles on the links as each slot began, in the order of `Links` [T, L]."""
     rover_xy: FloatArray
     """Where the rover stood as each slot began, and at the end [T + 1, 2] [m]."""
     users_xy: FloatArray

@@ -18,6 +18,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from mjris.show.maps import draw_boards
 from mjris.show.palette import ROVER, STOPS, user_colour
 from mjris.show.rollout import Rollout
 from mjris.world.office import GROUP_BLOCKERS, Office
@@ -54,6 +55,7 @@ def draw_trajectory(axes: Axes, office: Office, rollout: Rollout) -> tuple[Scala
         axis.set_major_locator(MaxNLocator(6, integer=True))
     _draw_shadow(axes, office)
     heights = _draw_furniture(axes, office)
+    draw_boards(axes, office)
     _draw_access_point(axes, office)
     _draw_path(axes, rollout.rover_xy)
     _draw_walks(axes, rollout.users_xy)

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError
+from mjris.radio.links import Links
 from mjris.show.overlay import Overlay, Picture, phase_rgb
 from mjris.show.palette import BLOCKED, CLEAR, ROVER, rgb, user_colour
 from mjris.show.rollout import Rollout
 from mjris.world.office import GROUP_BLOCKERS, Office
+from mjris.world.panels import board_name, panel_sizes
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
@@ -94,15 +96,15 @@ def snapshot(
     return next(_film(config, office, rollout, [range(rollout.frames)[frame]], camera, width, height))
 
 
-def link_lines(ap: FloatArray, panel: FloatArray, receivers: FloatArray, blockers: IntArray) -> list[Line]:
-    """Lines of AP–users, RIS–users, AP–RIS for an AP and a panel [3], receivers [K, 3] [m] and blockers [2K + 1]."""
-    users = len(receivers)
-    starts = [ap] * users + [panel] * users + [ap]
-    ends = [*receivers, *receivers, panel]
+def link_lines(
+    links: Links, ap: FloatArray, panels: FloatArray, receivers: FloatArray, blockers: IntArray
+) -> list[Line]:
+    """Lines of all links [L] for an AP [3], panels [S, 3], receivers [K, 3] [m] and obstacles in their way [L]."""
+    starts, ends = links.ends(ap[None], panels[None], receivers[None])
     clear, blocked = (np.array([*rgb(colour), alpha]) / 255 for colour, alpha in ((CLEAR, 230), (BLOCKED, 110)))
     return [
         Line(start, end, blocked, 0.02) if count else Line(start, end, clear, 0.035)
-        for start, end, count in zip(starts, ends, blockers, strict=True)
+        for start, end, count in zip(starts[0], ends[0], blockers, strict=True)
     ]
 
 
@@ -111,7 +113,7 @@ def _film(
 ) -> Iterator[Picture]:
     """Finished pictures of some frames."""
     column = round(_COLUMN_SHARE * width)
-    overlay = Overlay(rollout, (config.radio.panel_rows, config.radio.panel_cols), column, height)
+    overlay = Overlay(rollout, panel_sizes(config.radio, office.layout).tolist(), column, height)
     stage = _Stage(config, office, rollout, camera, width - column, height)
     with stage.renderer(width - column, height) as main, stage.renderer(*overlay.inset_size) as inset:
         # Shadows take most of the time, and nobody misses them in the small picture.
@@ -135,7 +137,14 @@ class _Stage:
         self._option.geomgroup[:] = np.isin(np.arange(mujoco.mjNGROUP), _SHOWN_GROUPS)
         screen = self._model.vis.global_
         screen.offwidth, screen.offheight = max(screen.offwidth, width), max(screen.offheight, height)
-        self._elements = [self._model.geom(f"rover/panel/element{n}").id for n in range(config.radio.num_elements)]
+        elements = panel_sizes(config.radio, office.layout).prod(1)
+        self._links = Links(config.world.num_users, elements)
+        panels = ["rover/panel", *(board_name(index) for index in range(len(office.layout.ris)))]
+        self._elements = [
+            self._model.geom(f"{panel}/element{n}").id
+            for panel, count in zip(panels, elements.tolist(), strict=True)
+            for n in range(count)
+        ]
         self._model.geom_matid[self._elements] = -1
         self._lines: list[Line] = []
         self._widen(camera, width / height)
@@ -169,11 +178,12 @@ class _Stage:
         mujoco.mj_camlight(self._model, data)
         self._model.geom_rgba[self._elements, :3] = [phase_rgb(phase) for phase in rollout.phases_rad[slot]]
         start = self._office.rover_qpos
-        panel = np.array([*data.qpos[start : start + 2], world.panel_height_m])
+        rover = [*data.qpos[start : start + 2], world.panel_height_m]
+        panels = np.array([rover, *(panel.at for panel in self._office.layout.ris)])
         receivers = data.mocap_pos[self._office.mocap_ids].copy()
         receivers[:, 2] = world.user_height_m
-        lines = link_lines(self._office.ap_position, panel, receivers, rollout.blockers[slot])
-        self._lines = lines[: len(receivers)] if self._config.task.ris == "none" else lines
+        lines = link_lines(self._links, self._office.ap_position, panels, receivers, rollout.blockers[slot])
+        self._lines = lines[self._links.direct] if self._config.task.ris == "none" else lines
 
     def shoot(self, renderer: mujoco.Renderer, camera: str) -> Picture:
         """A picture of the present pose."""

@@ -31,9 +31,10 @@ def channel_state(simulator: Simulator) -> Seen:
     """The paper's state, eq. (S), [E, D]: positions, path losses, and fading with the path loss taken out."""
     scene = simulator.scene
     users, (elements, antennas) = scene.users_xy.shape[1], scene.known.incident.shape[1:]
-    width = 4 + 4 * users + 1 + 2 * (users * antennas + elements * antennas + users * elements)
+    width = 4 + 2 * users + scene.path_loss_db.shape[1]
+    width += 2 * (users * antennas + elements * antennas + users * elements)
     seen = np.empty((simulator.num_cells, width), np.float32)
-    _write_channel_state(seen, *_geometry(simulator), scene.known)
+    _write_channel_state(seen, *_geometry(simulator), _fading(simulator))
     return seen
 
 
@@ -47,7 +48,7 @@ def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) 
     around = scene.rover_xy[:, None] + _AROUND
     ends = around[:, -len(_CIRCLE) :]
     free = world.free_share(scene.rover_xy[:, None], ends, world.hull_radius_m + world.config.bumper_m)
-    width = 4 + 8 * scene.users_xy.shape[1] + 1 + len(_AROUND) + len(_CIRCLE) + 3
+    width = 4 + 6 * scene.users_xy.shape[1] + scene.path_loss_db.shape[1] + len(_AROUND) + len(_CIRCLE) + 3
     seen = np.empty((simulator.num_cells, width), np.float32)
     values_bps = place_values(simulator, around)
     _write_radio_map(seen, *_geometry(simulator), scene.known, values_bps, free, goal, promised_bps)
@@ -55,9 +56,23 @@ def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) 
 
 
 def _geometry(simulator: Simulator) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Rovers [E, 2] [m], panels' headings [E], users [E, K, 2] [m], rooms [E, 2] [m], path losses [E, 2K + 1] [dB]."""
+    """Rovers [E, 2] [m], panels' headings [E], users [E, K, 2] [m], rooms [E, 2] [m], path losses [E, L] [dB]."""
     scene = simulator.scene
     return scene.rover_xy, scene.panel_heading, scene.users_xy, simulator.room_m, scene.path_loss_db
+
+
+def _fading(simulator: Simulator) -> Channels:
+    """The known channels with the path losses taken out."""
+    links, known = simulator.links, simulator.scene.known
+    amplitude = 10 ** (simulator.scene.path_loss_db / 20)
+    incident = amplitude[:, links.incident].repeat(links.elements, 1)
+    panels = amplitude[:, links.reflected].reshape(len(amplitude), len(links.elements), -1)
+    reflected = np.ascontiguousarray(panels.repeat(links.elements, 1).swapaxes(1, 2))
+    return Channels(
+        known.direct * amplitude[:, links.direct, None],
+        known.incident * incident[..., None],
+        known.reflected * reflected,
+    )
 
 
 @compiled
@@ -68,22 +83,14 @@ def _write_channel_state(
     users_xy: FloatArray,
     room_m: FloatArray,
     loss_db: FloatArray,
-    channels: Channels,
+    fading: Channels,
 ) -> None:
-    direct, incident, reflected = channels
-    users, elements = users_xy.shape[1], incident.shape[1]
     for e in range(len(seen)):
-        own, loss = seen[e], loss_db[e]
+        own = seen[e]
         at = _write_positions(own, rover_xy[e], panel_heading[e], users_xy[e], room_m[e])
-        at = _write_losses(own, at, loss)
-        for k in range(users):
-            at = _write_fading(own, at, users, direct[e, k], loss[k])
-        at += users * direct.shape[2]
-        for n in range(elements):
-            at = _write_fading(own, at, elements, incident[e, n], loss[2 * users])
-        at += elements * incident.shape[2]
-        for k in range(users):
-            at = _write_fading(own, at, users, reflected[e, k], loss[users + k])
+        at = _write_losses(own, at, loss_db[e])
+        for link in (fading.direct[e], fading.incident[e], fading.reflected[e]):
+            at = _write_parts(own, at, link)
 
 
 @compiled
@@ -156,13 +163,13 @@ def _write_losses(seen: Seen, at: int, loss_db: FloatArray) -> int:
 
 
 @compiled
-def _write_fading(seen: Seen, at: int, rows: int, row: ComplexArray, loss_db: float) -> int:
-    """Write a link's row of real parts from `at` on, and the imaginary ones as many `rows` behind; where it ends."""
-    amplitude, columns = 10.0 ** (loss_db / 20), len(row)
-    for column in range(columns):
-        seen[at + column] = row[column].real * amplitude
-        seen[at + column + rows * columns] = row[column].imag * amplitude
-    return at + columns
+def _write_parts(seen: Seen, at: int, channel: ComplexArray) -> int:
+    """Write all real parts of a channel [., .] from `at` on, then the imaginary ones; where they end."""
+    for row in channel:
+        for entry in row:
+            seen[at], seen[at + channel.size] = entry.real, entry.imag
+            at += 1
+    return at + channel.size
 
 
 @compiled

@@ -7,17 +7,16 @@ from numpy.typing import NDArray
 
 from mjris.planning import prediction, radio_map
 from mjris.planning.radio_map import Ground, penalised
-from mjris.radio import propagation
 from mjris.simulation.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
 
 
 def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
-    """Predicted sum rate with the QoS penalty, [E, P] [bit/s], with the RIS at `places` [E, P, 2] [m].
+    """Predicted sum rate with the QoS penalty, [E, P] [bit/s], with the rover's panel at `places` [E, P, 2] [m].
 
     Obstacles are those of the `sight_map`, distances exact. The panel faces the bisector of AP and users, as the pan
-    motor would turn it.
+    motor would turn it. Fixed panels count as they do in the present slot.
     """
     everywhere = np.ones(places.shape[:2], np.bool_)
     return radio_map.values_at(_ground(simulator), np.ascontiguousarray(places), everywhere)
@@ -25,7 +24,7 @@ def place_values(simulator: Simulator, places: FloatArray) -> FloatArray:
 
 def bare_values(simulator: Simulator) -> FloatArray:
     """The same prediction without RIS, [E] [bit/s]."""
-    config, direct = simulator.config, _direct_gains(simulator)
+    config, direct = simulator.config, simulator.scene.mean_gain[:, simulator.links.direct]
     nothing, qos_bps = np.zeros_like(direct), config.task.qos_bps
     rates = prediction.predicted_rates(direct, nothing[:, 0], nothing, simulator.clusters, config.radio, qos_bps)
     return penalised(rates, qos_bps, config.task.qos_penalty)
@@ -62,21 +61,25 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
 def _ground(simulator: Simulator, heading_rad: float = math.nan) -> Ground:
     """What predictions for the present scene follow from."""
     config, sight_map, users_xy = simulator.config, simulator.terrain.sight_map, simulator.scene.users_xy
-    receivers = np.insert(users_xy, 2, config.world.user_height_m, -1)
+    receivers, arrays = np.insert(users_xy, 2, config.world.user_height_m, -1), prediction.Arrays.of(config.radio)
     return Ground(
         simulator.link_table,
         simulator.system,
-        prediction.Arrays.of(config.radio),
+        arrays,
         sight_map.grid,
         np.concatenate([receivers, simulator.ap_position[:, None]], 1),
         simulator.aims(users_xy),
         heading_rad,
         sight_map.blockers(users_xy),
-        _direct_gains(simulator),
+        _beside(simulator, arrays),
         config.world.panel_height_m,
         config.task.qos_penalty,
     )
 
 
-def _direct_gains(simulator: Simulator) -> FloatArray:
-    return propagation.db_to_linear(-simulator.scene.path_loss_db[:, simulator.links.direct])
+def _beside(simulator: Simulator, arrays: prediction.Arrays) -> prediction.Beside:
+    """What reaches users without the rover's panel, which is the first."""
+    links, gain = simulator.links, simulator.scene.mean_gain
+    reflected = gain[:, links.reflected].reshape(len(gain), len(links.elements), -1)
+    fixed = gain[:, links.incident][:, 1:], reflected[:, 1:], links.elements[1:]
+    return prediction.beside_rover(simulator.system, arrays, gain[:, links.direct], *fixed)

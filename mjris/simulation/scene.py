@@ -17,20 +17,22 @@ IntArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Scene:
-    """What a slot begins with, in E cells with K users; links are AP–users, RIS–users, AP–RIS."""
+    """What a slot begins with, in E cells with K users; the L links are those of `Links`."""
 
     rover_xy: FloatArray
     """[E, 2] [m]"""
     rover_heading: FloatArray
     """[E] [rad]"""
     panel_heading: FloatArray
-    """[E] [rad]"""
+    """Of the rover's panel [E] [rad]."""
     users_xy: FloatArray
     """[E, K, 2] [m]"""
     blockers: IntArray
-    """Obstacles on every link [E, 2K + 1]."""
+    """Obstacles on every link [E, L]."""
     path_loss_db: FloatArray
-    """Of every link [E, 2K + 1] [dB]."""
+    """Of every link [E, L] [dB]."""
+    mean_gain: FloatArray
+    """Power gain of every link without fading, the pattern of the panel's elements included [E, L]."""
     channels: Channels
     """h_d [E, K, M], G [E, N, M], h_r [E, K, N]: what rates follow from."""
     known: Channels

@@ -53,14 +53,16 @@ class Simulator:
         self.world = World(config, load_layout(config.world.layout), self._streams.furniture())
         self.terrain = Terrain(self.world)
         radio = config.radio
-        k, m, n = config.world.num_users, radio.num_antennas, radio.num_elements
+        k, m = config.world.num_users, radio.num_antennas
+        counts = self.world.panel_sizes.prod(1)
+        n = self.num_elements = int(counts.sum())
+        """N, elements of all panels, the rover's first."""
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
         self.system = serving.System.of(radio, self.clusters, config.task.qos_bps)
         self.link_table, self.surface = LinkTable.of(radio), Surface.of(radio)
-        self.links = links.Links(k, 1)
+        self.links = links.Links(k, counts)
         """Which links there are: the axes [L] of the scene."""
-        self._panel_sizes = np.array([[radio.panel_rows, radio.panel_cols]])
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
@@ -94,7 +96,7 @@ class Simulator:
 
     def random_phases(self) -> FloatArray:
         """Uniform phases from each cell's stream for them [E, N] [rad]."""
-        return self._streams.phases(self.config.radio.num_elements)
+        return self._streams.phases(self.num_elements)
 
     def step(
         self,
@@ -109,7 +111,7 @@ class Simulator:
         With phases that are held, transmission goes on while things move. Raises `ValueError` for arrays of other
         shapes and for numbers that are not finite.
         """
-        cells, users, elements = self.num_cells, self.config.world.num_users, self.config.radio.num_elements
+        cells, users, elements = self.num_cells, self.config.world.num_users, self.num_elements
         displacement_m = checked("displacement_m", displacement_m, (cells, 2))
         phases_rad = checked("phases_rad", phases_rad, (cells, elements))
         powers_w = checked("powers_w", powers_w, (cells, users))
@@ -267,16 +269,13 @@ class Simulator:
     def _observe(self, diffuse: ComplexArray) -> Scene:
         """Sight, path losses and channels at the present positions, with this diffuse fading."""
         radio, world = self.config.radio, self.world
-        panels, headings = world.panel_centre()[:, None], world.fleet.panel_heading[:, None]
+        panels, headings = world.panel_centres(), world.panel_headings()
         receivers = world.receivers()
         start, end = self.links.ends(self.ap_position, panels, receivers)
         blockers = world.sight.blockers(start, end, self.links.person)
         mean = links.means(self.link_table, self.links.panel, start, end, blockers, headings)
-        elements = links.panel_elements(panels, headings, self._panel_sizes, self._spacing_m)
-        counts = self._panel_sizes.prod(1)
-        made = links.channels(
-            self.links, self._antennas, receivers, elements, counts, mean, diffuse, radio.wavelength_m
-        )
+        elements = links.panel_elements(panels, headings, world.panel_sizes, self._spacing_m)
+        made = links.channels(self.links, self._antennas, receivers, elements, mean, diffuse, radio.wavelength_m)
         return Scene(
             rover_xy=panels[:, 0, :2],
             rover_heading=world.fleet.heading,
@@ -284,6 +283,7 @@ class Simulator:
             users_xy=receivers[..., :2],
             blockers=blockers,
             path_loss_db=mean.loss_db,
+            mean_gain=mean.gain,
             channels=made,
             known=made,  # as soon as they are: CSI is perfect
         )

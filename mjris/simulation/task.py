@@ -43,7 +43,7 @@ class Task:
         self.config = config
         self.simulator = Simulator(config, cells)
         users = config.world.num_users
-        self._num_phases = config.radio.num_elements if config.task.phase_control == "elements" else users
+        self._num_phases = self.simulator.num_elements if config.task.phase_control == "elements" else users
         self._pans = config.world.pan == "action"
         self.action_size = 2 + self._num_phases + users + self._pans
         self._reach_m = config.world.max_speed_mps * config.world.slot_s

@@ -1,4 +1,4 @@
-"""Whether the rover, its panel and the antennas of a config fit into a layout, and have floor to drive on."""
+"""Whether the rover, the panels and the antennas of a config fit into a layout, and have floor to drive on."""
 
 import math
 
@@ -9,6 +9,7 @@ from mjris.config import Config, ConfigError
 from mjris.world.layout import Layout
 from mjris.world.layout_checks import Boxes, boxes_of, plan_distance, wall_distance
 from mjris.world.office import CHASSIS_HEIGHT_M, HULL_FLOOR_GAP_M, hull_height, hull_radius, panel_bottom
+from mjris.world.panels import check_boards, with_boards
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -26,16 +27,18 @@ def kept_distance(config: Config) -> float:
 
 
 def check_fit(config: Config, layout: Layout) -> None:
-    """Check panel and antennas against the room, the rover's start, and the floor that it can reach from there.
+    """Check panels and antennas against the room, the rover's start, and the floor that it can reach from there.
 
     The layout is one that `check_layout` passes. Raises `ConfigError`, one sentence that names the fields at fault.
     """
     _check_panel(config, layout)
     _check_antennas(config, layout)
-    boxes = boxes_of(layout)
+    check_boards(config.radio, layout)
+    solid = with_boards(config.radio, layout)
+    boxes = boxes_of(solid)
     at_hull = boxes.between(HULL_FLOOR_GAP_M, hull_height(config))
-    _check_start(config, layout, boxes, at_hull)
-    _check_floor(config, layout, boxes, at_hull)
+    _check_start(config, solid, boxes, at_hull)
+    _check_floor(config, solid, boxes, at_hull)
 
 
 def rover_start(config: Config, layout: Layout) -> tuple[float, float]:

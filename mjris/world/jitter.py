@@ -8,18 +8,20 @@ import numpy as np
 from mjris.config import Config, ConfigError
 from mjris.world.fit import check_fit
 from mjris.world.layout import Layout
-from mjris.world.layout_checks import check_layout
+from mjris.world.layout_checks import boxes_of, check_layout, is_wall
 
 _TRIES = 3
 
 
 def jittered(layout: Layout, config: Config, rng: np.random.Generator) -> Layout:
-    """The layout with every obstacle moved by up to `world.layout_jitter_m`, uniformly over the disc.
+    """The layout with all furniture moved by up to `world.layout_jitter_m`, uniformly over the disc.
 
-    An obstacle that would meet a wall or another one, or leave the rover too little room, stays where it is.
+    Walls and the panels that hang on them stay, as does what would meet a wall or something else, or leave the rover
+    too little room.
     """
-    distance_m = config.world.layout_jitter_m
-    for index in range(len(layout.obstacles)):
+    distance_m, boxes = config.world.layout_jitter_m, boxes_of(layout)
+    walls = {int(boxes.owner[b]) for b in range(len(boxes.owner)) if is_wall(boxes, b)}
+    for index in sorted({*range(len(layout.obstacles))} - walls):
         for _ in range(_TRIES):
             radius, angle = distance_m * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
             moved = _moved(layout, index, radius * math.cos(angle), radius * math.sin(angle))

@@ -22,6 +22,7 @@ _Floats = NDArray[np.float64]
 
 Side = Annotated[float, Field(ge=2, le=200)]
 Height = Annotated[float, Field(ge=2.2, le=20)]
+Elements = Annotated[int, Field(ge=1, le=256)]
 KindName = Annotated[str, Field(pattern="^[a-z][a-z0-9_]*$")]
 
 
@@ -77,6 +78,23 @@ class Obstacle:
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Panel:
+    """A panel of the RIS at a fixed place: upright, with elements half a wavelength apart."""
+
+    at: tuple[float, float, float]
+    """Middle of its elements [m]."""
+    facing_deg: float
+    """Direction that it faces: 0 is +x, counter-clockwise."""
+    rows: Elements
+    cols: Elements
+
+    @property
+    def facing(self) -> float:
+        """Direction that it faces [rad]."""
+        return math.radians(self.facing_deg)
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Layout:
     """An office with everything resolved to bricks."""
 
@@ -86,6 +104,8 @@ class Layout:
     start: tuple[float, float]
     """Where the rover starts [m]."""
     obstacles: tuple[Obstacle, ...]
+    ris: tuple[Panel, ...] = ()
+    """Panels beside the rover's, which are as wide and high as the carrier's wavelength has it."""
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -117,6 +137,7 @@ class _File:
     rover: _Rover
     kinds: dict[KindName, _Kind] = Field(default_factory=dict)
     obstacle: tuple[_Item, ...] = ()
+    ris: tuple[Panel, ...] = ()
 
 
 def layout_names() -> list[str]:
@@ -150,6 +171,7 @@ def load_layout(name_or_path: str) -> Layout:
         ap=file.ap,
         start=file.rover.start,
         obstacles=_obstacles(file.obstacle, furniture.kinds | file.kinds, path),
+        ris=file.ris,
     )
     check_layout(layout, source=str(path))
     return layout

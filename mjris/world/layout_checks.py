@@ -71,9 +71,7 @@ def plan_distance(points: _Floats, boxes: Boxes, b: int) -> _Floats:
 
 
 def _check_inside(layout: "Layout", boxes: Boxes, fail: Callable[[str], NoReturn]) -> None:
-    size = np.array(layout.room.size)
-    extent = np.einsum("bk,bkd->bd", boxes.half, np.abs(boxes.axes))
-    outside = np.maximum(extent - boxes.centre, boxes.centre + extent - size)  # [B, 3]
+    size, outside = np.array(layout.room.size), outside_m(boxes, layout.room)
     for b, d in np.argwhere(outside > _TOUCH_M):
         side = ("a wall in x", "a wall in y", "the floor or the ceiling")[d]
         fail(f"obstacle {layout.obstacles[boxes.owner[b]].name} sticks through {side} by {outside[b, d]:.2f} m")
@@ -89,9 +87,15 @@ def _check_inside(layout: "Layout", boxes: Boxes, fail: Callable[[str], NoReturn
         fail(f"ap.position: {list(layout.ap.position)} is not allowed: it lies within obstacle {name}")
 
 
+def outside_m(boxes: Boxes, room: "Room") -> _Floats:
+    """How far bricks reach out of the room in x, y and z, [B, 3] [m]; negative where they do not."""
+    extent = np.einsum("bk,bkd->bd", boxes.half, np.abs(boxes.axes))
+    return np.maximum(extent - boxes.centre, boxes.centre + extent - np.array(room.size))
+
+
 def _check_overlaps(layout: "Layout", boxes: Boxes, fail: Callable[[str], NoReturn]) -> None:
     i, j = _near_pairs(boxes)
-    depth = _depth(boxes, i, j)
+    depth = overlap_m(boxes, i, j)
     for pair in np.flatnonzero(depth > _OVERLAP_M):
         if not _is_joint(boxes, i[pair], j[pair]):
             first, second = (layout.obstacles[boxes.owner[b[pair]]].name for b in (i, j))
@@ -117,7 +121,7 @@ def _near_pairs(boxes: Boxes) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return found[:, 0], found[:, 1]
 
 
-def _depth(boxes: Boxes, i: NDArray[np.intp], j: NDArray[np.intp]) -> _Floats:
+def overlap_m(boxes: Boxes, i: NDArray[np.intp], j: NDArray[np.intp]) -> _Floats:
     """How far bricks i and j [P] sink into each other [P] [m]; negative where they are apart."""
     # Separating axes: as all boxes share z, the sides of both are all the directions that need a look.
     normals = np.concatenate([boxes.axes[i], boxes.axes[j]], axis=1)  # [P, 6, 3]
@@ -131,7 +135,7 @@ def _is_joint(boxes: Boxes, i: int, j: int) -> bool:
 
     Walls in one line may share as much of their length as the thicker one is thick.
     """
-    if not (_is_wall(boxes, i) and _is_wall(boxes, j)):
+    if not (is_wall(boxes, i) and is_wall(boxes, j)):
         return False
     (along, length, thickness), (other, other_length, other_thickness) = (_wall(boxes, b) for b in (i, j))
     if abs(along[0] * other[1] - along[1] * other[0]) > math.sin(_PARALLEL):
@@ -140,7 +144,7 @@ def _is_joint(boxes: Boxes, i: int, j: int) -> bool:
     return (length + other_length) / 2 - apart <= max(thickness, other_thickness) + _TOUCH_M
 
 
-def _is_wall(boxes: Boxes, b: int) -> bool:
+def is_wall(boxes: Boxes, b: int) -> bool:
     """Whether a brick is the only one of its obstacle, stands on the floor, and is thin and high."""
     on_floor = boxes.centre[b, 2] - boxes.half[b, 2] <= _OVERLAP_M
     alone = (boxes.owner == boxes.owner[b]).sum() == 1

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.assets import assets_dir
-from mjris.config import Config
-from mjris.world.layout import Layout
+from mjris.config import Config, Radio
+from mjris.world.layout import Layout, Panel
+from mjris.world.panels import board_half_m, board_name
 
 FloatArray = NDArray[np.floating]
 
@@ -22,7 +23,7 @@ GROUP_BLOCKERS = 1
 GROUP_VISUALS = 2
 """Geom group of what is for the eye only; the simulated model goes without."""
 GROUP_WALLS = 3
-"""Geom group of the room's outer walls."""
+"""Geom group of what is solid and blocks no links: the room's outer walls, and the boards of fixed panels."""
 GROUP_PEOPLE = 5
 """Geom group of the people's capsules, which block links if asked to and are not shown."""
 
@@ -34,8 +35,6 @@ CHASSIS_HEIGHT_M = 0.2
 """Top of the rover's chassis above the floor, below which no panel reaches."""
 _AXLE_HEIGHT_M = 0.08
 _HULL_MIN_RADIUS_M = 0.25
-_FRAME_M = 0.01
-"""The board is that much larger than its elements on every side."""
 
 
 def hull_radius(config: Config) -> float:
@@ -51,7 +50,7 @@ def hull_height(config: Config) -> float:
 
 def panel_bottom(config: Config) -> float:
     """Height of the panel's lower edge above the floor [m]."""
-    return config.world.panel_height_m - config.radio.panel_rows * config.radio.wavelength_m / 4 - _FRAME_M
+    return config.world.panel_height_m - board_half_m(config.radio, config.radio.panel_rows, 1)[2]
 
 
 def feeler_reach(config: Config) -> float:
@@ -144,8 +143,11 @@ def build(config: Config, layout: Layout) -> Office:
 
 def compose(config: Config, layout: Layout) -> mujoco.MjSpec:
     """The scene as an editable spec: shell, furniture, AP, people, rover and panel."""
-    spec = _without_elements(config, layout)
-    _add_elements(spec, config)
+    spec, radio = _without_elements(config, layout), config.radio
+    _add_elements(spec, radio, "rover/panel", spec.body("rover/panel/panel"), radio.panel_rows, radio.panel_cols)
+    for index, panel in enumerate(layout.ris):
+        name = board_name(index)
+        _add_elements(spec, radio, name, spec.body(name), panel.rows, panel.cols)
     return spec
 
 
@@ -159,6 +161,8 @@ def _without_elements(config: Config, layout: Layout) -> mujoco.MjSpec:
     _add_access_point(spec, layout)
     _add_people(spec, config)
     _add_rover(spec, config)
+    for index, panel in enumerate(layout.ris):
+        _add_board(spec, config, board_name(index), panel)
     _add_contacts(spec, config)
     return spec
 
@@ -259,24 +263,30 @@ def _mast_top(rover: mujoco.MjSpec, config: Config) -> mujoco.MjsFrame:
 
 
 def _panel(config: Config) -> mujoco.MjSpec:
-    """The panel's board."""
-    ris, spacing = _part("ris"), config.radio.wavelength_m / 2
-    rows, cols = config.radio.panel_rows, config.radio.panel_cols
-    ris.geom("board").size = [0.006, cols * spacing / 2 + _FRAME_M, rows * spacing / 2 + _FRAME_M]
+    """The rover's panel, which is its board."""
+    ris = _part("ris")
+    ris.geom("board").size = board_half_m(config.radio, config.radio.panel_rows, config.radio.panel_cols)
     return ris
 
 
-def _add_elements(spec: mujoco.MjSpec, config: Config) -> None:
-    """A tile for every reflecting element, half a wavelength apart."""
-    panel, spacing = spec.body("rover/panel/panel"), config.radio.wavelength_m / 2
-    rows, cols = config.radio.panel_rows, config.radio.panel_cols
+def _add_board(spec: mujoco.MjSpec, config: Config, name: str, panel: Panel) -> None:
+    """The board of a fixed panel, which is in the way of whatever drives or walks."""
+    quat = [math.cos(panel.facing / 2), 0, 0, math.sin(panel.facing / 2)]
+    body = spec.worldbody.add_body(name=name, pos=list(panel.at), quat=quat)
+    half = board_half_m(config.radio, panel.rows, panel.cols)
+    _add_box(body, spec.find_default("wall"), f"{name}/board", [0, 0, 0], half, "rover/panel/ris_board")
+
+
+def _add_elements(spec: mujoco.MjSpec, radio: Radio, name: str, body: mujoco.MjsBody, rows: int, cols: int) -> None:
+    """A tile for every reflecting element of a panel, half a wavelength apart, row by row from the bottom."""
+    spacing = radio.wavelength_m / 2
     for n in range(rows * cols):
         row, col = divmod(n, cols)
-        panel.add_geom(
+        body.add_geom(
             spec.find_default("rover/panel/ris"),
-            name=f"rover/panel/element{n}",
+            name=f"{name}/element{n}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[0.008, (col - (cols - 1) / 2) * spacing, ((rows - 1) / 2 - row) * spacing],
+            pos=[0.008, (col - (cols - 1) / 2) * spacing, (row - (rows - 1) / 2) * spacing],
             size=[0.003, 0.4 * spacing, 0.4 * spacing],
             material="rover/panel/ris_element",
         )

@@ -10,6 +10,7 @@ from mjris.world.footprints import Footprints
 from mjris.world.layout import Layout
 from mjris.world.layout_checks import boxes_of, wall_distance
 from mjris.world.office import PERSON_HEIGHT_M, PERSON_RADIUS_M, hull_radius
+from mjris.world.panels import with_boards
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -35,7 +36,7 @@ class Placement:
         world = config.world
         self._users = world.num_users
         self._layouts = layouts
-        self._furniture = [_furniture(layout) for layout in layouts]
+        self._furniture = [_furniture(with_boards(config.radio, layout)) for layout in layouts]
         self._start = start
         self._from_solid_m = PERSON_RADIUS_M + world.clearance_m
         self._from_rover_m = PERSON_RADIUS_M + hull_radius(config) + world.clearance_m

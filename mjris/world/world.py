@@ -20,6 +20,7 @@ from mjris.world.office import (
     hull_height,
     hull_radius,
 )
+from mjris.world.panels import panel_sizes
 from mjris.world.people import Crowd
 from mjris.world.placement import Placement
 from mjris.world.rover import Motion
@@ -44,6 +45,10 @@ class World:
         layouts = [jittered(layout, config, rng) for rng in generators] if jitter > 0 else [layout]
         self.start = np.array(rover_start(config, layout))
         """Where rovers start [2] [m]."""
+        self.panel_sizes = panel_sizes(config.radio, layout)
+        """Rows and columns of all panels [S, 2], the rover's first."""
+        self._fixed_centres = np.array([panel.at for panel in layout.ris]).reshape(-1, 3)
+        self._fixed_headings = np.array([panel.facing for panel in layout.ris])
         self._placement = Placement(config, layouts, self.start)
         self.offices = [build(config, each) for each in layouts]
         office = self.offices[0]
@@ -65,9 +70,18 @@ class World:
         """The office of a cell."""
         return self.offices[cell % len(self.offices)]
 
-    def panel_centre(self) -> FloatArray:
-        """Centres of the RIS panels [E, 3] [m]."""
-        return _raised(self.fleet.xy, self.config.panel_height_m)
+    def panel_centres(self) -> FloatArray:
+        """Middles of the panels [E, S, 3] [m], the rover's first."""
+        centres = np.empty((self.num_cells, 1 + len(self._fixed_centres), 3))
+        centres[:, 0] = _raised(self.fleet.xy, self.config.panel_height_m)
+        centres[:, 1:] = self._fixed_centres
+        return centres
+
+    def panel_headings(self) -> FloatArray:
+        """Directions that the panels face [E, S] [rad]."""
+        headings = np.empty((self.num_cells, 1 + len(self._fixed_headings)))
+        headings[:, 0], headings[:, 1:] = self.fleet.panel_heading, self._fixed_headings
+        return headings
 
     def receivers(self) -> FloatArray:
         """The users' receivers [E, K, 3] [m]."""
