@@ -236,6 +236,39 @@ def test_a_plan_of_many_walls_with_joints(tmp_path):
     assert sight.blockers(start, np.array([[[5.9, 0.5, 1.5]]])).tolist() == [[1]]
 
 
+def test_walls_are_lines_on_the_plan(tmp_path):
+    walls = """wall = [
+      { from = [1.0, 0.0], to = [1.0, 2.0] },
+      { from = [1.0, 2.0], to = [2.5, 3.5], thickness_m = 0.2, height_m = 1.4, material = "glass" },
+    ]
+    """
+    made = load(tmp_path, '{ kind = "wall", at = [5.0, 2.0] }', HEAD + walls, WALL)
+    first, second, third = made.obstacles
+    assert [obstacle.name for obstacle in made.obstacles] == ["wall_1", "wall_2", "wall_3"]
+    assert (first.position, second.position, third.position) == ((1.0, 1.0), (1.75, 2.75), (5.0, 2.0))
+    assert (first.yaw, second.yaw) == (pytest.approx(math.pi / 2), pytest.approx(math.pi / 4))
+    assert first.bricks[0].size == (2.0, 0.12, 3.0)
+    assert second.bricks[0].size == pytest.approx((1.5 * math.sqrt(2), 0.2, 1.4))
+    assert (second.bricks[0].at, second.bricks[0].material) == ((0.0, 0.0, 0.7), "glass")
+
+
+@pytest.mark.parametrize(
+    ("wall", "message"),
+    [
+        ("from = [1, 1], to = [1, 1]", r"wall.0.to: \[1.0, 1.0\] is not allowed: the wall begins there, too"),
+        ("from = [1, 1], to = [1, 9]", "obstacle wall_1 sticks through a wall in y by 4.00 m"),
+        ("from = [1, 1], to = [1, 2], thickness_m = 0.5", "wall.0.thickness_m: 0.5 is not allowed"),
+        ("from = [1, 1], to = [1, 2], height_m = 4", "obstacle wall_1 sticks through the floor or the ceiling"),
+        ('from = [1, 1], to = [1, 2], material = "cheese"', "wall.0.material: 'cheese' is not known"),
+        ("to = [1, 2]", "wall.0.from"),
+    ],
+)
+def test_walls_that_cannot_be_are_refused(tmp_path, wall, message):
+    with pytest.raises(ConfigError, match=message) as error:
+        load(tmp_path, "", HEAD + f"wall = [{{ {wall} }}]\n")
+    assert "\n" not in str(error.value)
+
+
 def test_stacked_obstacles_do_not_overlap(tmp_path):
     lamp = '[kinds.lamp]\nbricks = [{ at = [0, 0, 2.5], size = [0.5, 0.5, 0.5], material = "metal" }]'
     layout = load(tmp_path, '{ kind = "box", at = [1, 1] }, { kind = "lamp", at = [1, 1] }', kinds=BOX + lamp)

@@ -1,4 +1,5 @@
 import heapq
+import itertools
 import math
 
 import numpy as np
@@ -181,14 +182,48 @@ def assert_arrives(made: World, ways: Paths, start: np.ndarray, goal: np.ndarray
     assert (left < 0.1).all()
 
 
-def test_a_large_room_gets_a_wider_grid(monkeypatch):
-    fine = paths(WALLS)
+def test_a_large_room_has_no_table_and_the_same_ways(monkeypatch):
+    offices = [[*WALLS, PARTITION], [*WALLS, (2.5, 4, 0.1, 2)]]
+    tabled = paths(*offices)
     monkeypatch.setattr("mjris.planning.paths._MOST_NODES", 48)
-    wide = paths(WALLS)
-    assert len(fine.nodes) == 15 * 11
-    # One metre apart.
-    assert len(wide.nodes) == 7 * 5
-    assert (wide.distance_to_nodes(np.array([[1.0, 1.0]])) < 8.1).all()
+    large = paths(*offices)
+    assert large.distances.shape == (2, 0, 0)
+    np.testing.assert_array_equal(large.nodes, tabled.nodes)
+    rng = np.random.default_rng(2)
+    start, goal = rng.uniform(-0.2, (8.2, 6.2), (2, 200, 2))
+    length = tabled.distance(start, goal)
+    np.testing.assert_allclose(large.distance(start, goal), length, rtol=1e-5)
+    to_nodes = tabled.distance_to_nodes(start)
+    np.testing.assert_allclose(large.distance_to_nodes(start), to_nodes, rtol=1e-5)
+    within = to_nodes < 4
+    bounded = large.distance_to_nodes(start, 4.0)
+    np.testing.assert_allclose(bounded[within], to_nodes[within], rtol=1e-5)
+    assert (bounded[~within] > 4 - 1e-4).all()
+    # Of ways that are equally long either may be taken, and both get nearer by as much as is driven.
+    there = large.toward(start, goal)
+    driven = np.linalg.norm(there - start, axis=-1)
+    np.testing.assert_allclose(driven + large.distance(there, goal), length, atol=0.3)
+
+
+def test_a_building_of_many_rooms_is_driven_through_on_a_half_metre_grid(tmp_path):
+    """36 rooms of 5 m × 5 m with doors 1.5 m wide, from corner to corner; walls meet at joints."""
+    walls = []
+    for i, j in itertools.product(range(6), range(6)):
+        walls += [f"{{ from = [{5 * i}, {5 * j}], to = [{5 * i}, {5 * j + 3.5}] }}"] if i else []
+        walls += [f"{{ from = [{5 * i}, {5 * j}], to = [{5 * i + 3.5}, {5 * j}] }}"] if j else []
+    path = tmp_path / "building.toml"
+    path.write_text(
+        f"room.size = [30, 30, 3]\nap.position = [15.5, 29.8, 2.6]\nap.facing_deg = 270\nrover.start = [2.5, 2.5]\n"
+        f"wall = [{', '.join(walls)}]\n"
+    )
+    config = Config(world=WorldConfig(drive="kinematic"))
+    made = World(config, load_layout(str(path)), [np.random.default_rng(0)])
+    made.crowd.place(np.arange(1), np.full((1, 4, 2), -5.0))
+    ways = Terrain(made).paths
+    assert len(ways.nodes) > 2500
+    assert ways.distances.size == 0
+    made.fleet.place(np.arange(1), np.array([[2.5, 2.5]]), np.zeros(1))
+    assert_arrives(made, ways, np.array([[2.5, 2.5]]), np.array([[27.6, 27.4]]))
 
 
 def test_values_along_a_straight_way():

@@ -5,7 +5,7 @@ import pytest
 
 from mjris.config import Config
 from mjris.config import World as WorldConfig
-from mjris.planning.sight_map import Grid, square
+from mjris.planning.sight_map import Grid, square, write_obstacles
 from mjris.planning.terrain import Terrain
 from mjris.world.layout import load_layout
 from mjris.world.world import World
@@ -23,7 +23,7 @@ def seen(made: World, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Obstacles [E, P, K + 1] from places [E, K, 2] and the AP to places [E, P, 2]."""
     sight_map = Terrain(made).sight_map
     squares = np.array([[square(sight_map.grid, *place) for place in own] for own in high])
-    return np.take_along_axis(sight_map.blockers(low), squares[:, None], 2).swapaxes(1, 2)
+    return np.take_along_axis(sight_map.seen(low).rows, squares[:, None], 2).swapaxes(1, 2)
 
 
 @pytest.mark.parametrize("options", [{}, {"layout_jitter_m": 0.3}, {"body_blockage": True}])
@@ -71,7 +71,7 @@ def test_every_number_has_a_square():
 def test_many_obstacles_are_counted_one_by_one(monkeypatch):
     made = Terrain(world(1))
     monkeypatch.setattr(made.sight_map._sight, "blockers", lambda _, end, **__: np.full(end.shape[:2], 255))
-    assert (made.sight_map.blockers(np.array([[[7.0, 7.0]]]))[0, 0] == 255).all()
+    assert (made.sight_map.seen(np.array([[[7.0, 7.0]]])).rows[0, 0] == 255).all()
 
 
 def test_only_what_is_asked_for_is_cast_and_once(monkeypatch):
@@ -82,8 +82,29 @@ def test_only_what_is_asked_for_is_cast_and_once(monkeypatch):
         sight, "blockers", lambda start, *rest, **ids: casts.append(start) or counted(start, *rest, **ids)
     )
     places = np.random.default_rng(3).uniform(0, (15, 20), (2, 40, 2))
-    first = made.sight_map.blockers(places)
+    first = made.sight_map.seen(places).rows
     squares = {(e, square(made.sight_map.grid, *place)) for e in range(2) for place in places[e]}
     assert len(casts) == len(squares)
-    np.testing.assert_array_equal(made.sight_map.blockers(places), first)
+    np.testing.assert_array_equal(made.sight_map.seen(places).rows, first)
     assert len(casts) == len(squares)
+
+
+def test_on_a_large_floor_links_of_users_are_cast_from_place_to_place(monkeypatch):
+    monkeypatch.setattr("mjris.planning.sight_map._MOST_SQUARES", 100)
+    offices, rng = world(2, layout_jitter_m=0.2), np.random.default_rng(5)
+    low, high = rng.uniform(0.3, (14.7, 19.7), (2, 3, 2)), rng.uniform(0.3, (14.7, 19.7), (2, 40, 2))
+    found = Terrain(offices).sight_map.seen(low)
+    assert found.rows.shape[1] == 1
+    for e in range(2):
+        x, y = high[e].T.copy()
+        for k in range(3):
+            behind, start = np.empty(40), np.array([*low[e, k], offices.config.user_height_m])
+            write_obstacles(found, e, k, x, y, behind)
+            end = np.insert(high[e], 2, offices.config.panel_height_m, 1)[None]
+            start = np.broadcast_to(start, end.shape)
+            np.testing.assert_array_equal(behind, offices.sight.blockers(start, end, ids=np.array([e]))[0])
+        table, of_ap = np.empty(40), np.empty(40)
+        write_obstacles(found, e, 3, x, y, of_ap)
+        monkeypatch.setattr("mjris.planning.sight_map._MOST_SQUARES", 4000)
+        write_obstacles(Terrain(offices).sight_map.seen(low), e, 3, x, y, table)
+        np.testing.assert_array_equal(of_ap, table)

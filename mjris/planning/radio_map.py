@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mjris.jit.compiled import compiled
 from mjris.planning import prediction
-from mjris.planning.sight_map import Grid, square
+from mjris.planning.sight_map import Seen, write_obstacles
 from mjris.radio import equations
 from mjris.radio.serving import System
 from mjris.radio.tables import LinkTable
@@ -16,7 +16,6 @@ from mjris.world.facing import bisectors
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
-SmallArray = NDArray[np.int16]
 
 
 class Ground(NamedTuple):
@@ -25,18 +24,16 @@ class Ground(NamedTuple):
     table: LinkTable
     system: System
     arrays: prediction.Arrays
-    grid: Grid
     ends: FloatArray
     """Users and, last, AP [E, K + 1, 3] [m]."""
     aims: FloatArray
     """What panels face between [E, ., 2] [m], see `Simulator.aims`."""
     heading_rad: float
     """Where they face instead, NaN if nowhere else."""
-    blockers: SmallArray
-    """Obstacles from there to the squares of the grid [E, K + 1, s]."""
+    seen: Seen
+    """Obstacles from there."""
     beside: prediction.Beside
     """What reaches users without the rover's panel."""
-    panel_height_m: float
     qos_penalty: float
     """λ of eq. (R)."""
 
@@ -96,20 +93,17 @@ def _link_gains(ground: Ground, cell: int, places: FloatArray, gains: FloatArray
 
     For a panel in a cell at `places` [P, 2] [m].
     """
-    ends, blockers = ground.ends[cell], ground.blockers[cell]
+    ends = ground.ends[cell]
     x, y = places[:, 0].copy(), places[:, 1].copy()
     forward_x, forward_y = np.empty(len(x)), np.empty(len(x))
-    squares, behind = np.empty(len(x), np.int64), np.empty(len(x))
+    behind = np.empty(len(x))
     if math.isnan(ground.heading_rad):
         bisectors(ground.aims[cell], x, y, forward_x, forward_y)
     else:
         forward_x[:], forward_y[:] = math.cos(ground.heading_rad), math.sin(ground.heading_rad)
-    for p in range(len(x)):
-        squares[p] = square(ground.grid, x[p], y[p])
     for end in range(len(ends)):
-        for p in range(len(x)):
-            behind[p] = blockers[end, squares[p]]
-        _gains(ground.table, ends[end], ground.panel_height_m, x, y, forward_x, forward_y, behind, gains[end])
+        write_obstacles(ground.seen, cell, end, x, y, behind)
+        _gains(ground.table, ends[end], ground.seen.high_m, x, y, forward_x, forward_y, behind, gains[end])
 
 
 @compiled

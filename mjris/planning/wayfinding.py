@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.jit.compiled import compiled
+from mjris.planning.fields import field
 from mjris.world.footprints import Rectangles, gap, is_free, near
 
 FloatArray = NDArray[np.floating]
@@ -19,8 +20,6 @@ _RISE = 0.2
 """Such a rover is to gain this much distance per distance driven."""
 _OUT_SLACK_M = 1e-3
 """How much worse than the best a way out may be."""
-_ROUNDING_M = 1e-4
-"""How far sums of the lengths of ways are off, at most."""
 _LOOK_M = 1.0
 """How far ahead a rover looks for people who stand in its way."""
 _TURNS = np.radians([0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75, 90, -90])
@@ -39,7 +38,7 @@ class Graph(NamedTuple):
     edge_m: NDArray[np.float32]
     """Lengths of the ways to the neighbours [G, n, 16] [m], inf where there is none."""
     distances: NDArray[np.float32]
-    """Lengths of the shortest ways between all nodes [G, n, n] [m]."""
+    """Lengths of the shortest ways between all nodes [G, n, n] [m], or [G, 0, 0]: worked out when they are needed."""
     solid: Rectangles
     keep_m: float
     """What ways keep from everything solid [m]."""
@@ -48,12 +47,15 @@ class Graph(NamedTuple):
 
 
 @compiled
-def lengths_to_nodes(graph: Graph, start: FloatArray) -> FloatArray:
+def lengths_to_nodes(graph: Graph, start: FloatArray, most_m: float) -> FloatArray:
     """`Paths.distance_to_nodes`."""
-    lengths = np.full((len(start), len(graph.nodes)), np.inf)
+    lengths, nobody = np.full((len(start), len(graph.nodes)), np.inf), np.empty(0, np.int64)
     for cell in range(len(start)):
         office = cell % len(graph.distances)
         first, first_m = first_nodes(graph, office, start[cell, 0], start[cell, 1])
+        if not _tabled(graph):
+            lengths[cell] = _field(graph, office, first, first_m, nobody, most_m)
+            continue
         for choice in range(len(first)):
             if first_m[choice] < np.inf:
                 onward = graph.distances[office, first[choice]]
@@ -72,9 +74,13 @@ def lengths(graph: Graph, start: FloatArray, goal: FloatArray) -> FloatArray:
         goal_x, goal_y, last, last_m = last_nodes(graph, office, goal[cell, 0], goal[cell, 1])
         if _sees(graph, office, x, y, goal_x, goal_y):
             found[cell] = math.hypot(goal_x - x, goal_y - y)
-        else:
-            first, first_m = first_nodes(graph, office, x, y)
+            continue
+        first, first_m = first_nodes(graph, office, x, y)
+        if _tabled(graph):
             found[cell], _, _ = shortest(graph, office, first, first_m, last, last_m)
+        else:
+            onward = _field(graph, office, last, last_m, first[first_m < np.inf], np.inf)
+            found[cell] = (first_m + onward[first]).min()
     return found
 
 
@@ -88,17 +94,24 @@ def next_places(graph: Graph, start: FloatArray, goal: FloatArray) -> FloatArray
         goal_x, goal_y, last, last_m = last_nodes(graph, office, goal[cell, 0], goal[cell, 1])
         if _sees(graph, office, x, y, goal_x, goal_y):
             places[cell, 0], places[cell, 1] = goal_x, goal_y
-        else:
-            first, first_m = first_nodes(graph, office, x, y)
+            continue
+        first, first_m = first_nodes(graph, office, x, y)
+        tabled, end, lengths = _tabled(graph), -1, first_m
+        if tabled:
             _, node, end = shortest(graph, office, first, first_m, last, last_m)
-            # The first node is where to go when nothing is in free sight, as it is for a rover too close to something.
-            places[cell] = graph.nodes[node]
-            for _ in range(len(graph.nodes)):  # no way has more nodes, whatever numbers come in
-                if node == end:
-                    break
-                node = next_node(graph, office, node, end)
-                if _sees(graph, office, x, y, graph.nodes[node, 0], graph.nodes[node, 1]):
-                    places[cell] = graph.nodes[node]
+        else:
+            lengths = _field(graph, office, last, last_m, first[first_m < np.inf], np.inf)
+            node = first[(first_m + lengths[first]).argmin()]
+        # The first node is where to go when nothing is in free sight, as it is for a rover too close to something.
+        places[cell] = graph.nodes[node]
+        for _ in range(len(graph.nodes)):  # no way has more nodes, whatever numbers come in
+            if node == end:
+                break
+            node = next_node(graph, office, node, end) if tabled else _nearer(graph, office, node, lengths)
+            if node < 0:
+                break
+            if _sees(graph, office, x, y, graph.nodes[node, 0], graph.nodes[node, 1]):
+                places[cell] = graph.nodes[node]
     return places
 
 
@@ -201,6 +214,29 @@ def next_node(graph: Graph, office: int, node: int, end: int) -> int:
 
 
 @compiled
+def _nearer(graph: Graph, office: int, node: int, lengths: FloatArray) -> int:
+    """The node after another one on the way whose rest has `lengths` [n] [m], -1 where it ends."""
+    chosen, least = -1, np.inf
+    for edge in range(graph.neighbours.shape[1]):
+        beyond = lengths[graph.neighbours[node, edge]] + graph.edge_m[office, node, edge]
+        if beyond < least:
+            chosen, least = graph.neighbours[node, edge], beyond
+    return chosen if least <= lengths[node] else -1
+
+
+@compiled
+def _tabled(graph: Graph) -> bool:
+    return graph.distances.shape[1] > 0
+
+
+@compiled
+def _field(
+    graph: Graph, office: int, first: IntArray, first_m: FloatArray, wanted: IntArray, most_m: float
+) -> FloatArray:
+    return field(graph.neighbours, graph.edge_m[office], first, first_m, wanted, most_m)
+
+
+@compiled
 def _sees(graph: Graph, office: int, x: float, y: float, end_x: float, end_y: float) -> bool:
     return is_free(graph.solid, office, x, y, end_x - x, end_y - y, graph.keep_m)
 
@@ -234,41 +270,3 @@ def _nearest(graph: Graph, office: int, x: float, y: float) -> IntArray:
                 rank -= 1
             squared[rank], near[rank] = away, node
     return near
-
-
-@compiled
-def integrals_along(
-    graph: Graph, length: FloatArray, present: FloatArray, values: FloatArray, most_m: float
-) -> FloatArray:
-    """`Paths.along`."""
-    integrals, nodes = np.zeros(length.shape), length.shape[1]
-    parents, behind = np.empty(nodes, np.int64), np.empty(nodes, np.int64)
-    for cell in range(len(length)):
-        way, value, integral = length[cell], values[cell], integrals[cell]
-        edges, known = graph.edge_m[cell % len(graph.edge_m)], way >= most_m
-        for last in range(nodes):
-            # Back along the way to what is known, which the start is to its first node, and from there on again.
-            node, count = last, 0
-            while not known[node]:
-                known[node], parents[node] = True, _parent(graph.neighbours, edges, way, node)
-                behind[count], count = node, count + 1
-                node = parents[node]
-            for back in range(count - 1, -1, -1):
-                node = behind[back]
-                before = parents[node]
-                if before == node:
-                    integral[node] = way[node] * (present[cell] + value[node]) / 2
-                else:
-                    integral[node] = integral[before] + (way[node] - way[before]) * (value[node] + value[before]) / 2
-    return integrals
-
-
-@compiled
-def _parent(neighbours: IntArray, edge_m: NDArray[np.float32], way_m: FloatArray, node: int) -> int:
-    """The node before another one on its way, for the lengths of all ways [n]; itself if it is the first one."""
-    parent, least = node, np.inf
-    for edge in range(neighbours.shape[1]):
-        through = way_m[neighbours[node, edge]] + edge_m[node, edge]
-        if through < least:
-            parent, least = neighbours[node, edge], through
-    return node if least > way_m[node] + _ROUNDING_M else parent

@@ -49,7 +49,7 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
     world, paths = simulator.config.world, simulator.terrain.paths
     here = simulator.scene.rover_xy
     horizon_m = horizon_slots * world.max_speed_mps * world.slot_s
-    way_m = paths.distance_to_nodes(here)
+    way_m = paths.distance_to_nodes(here, horizon_m)
     # Only what can be reached by then is valued.
     within, ground = way_m < horizon_m, _ground(simulator)
     present = radio_map.values_at(ground, here[:, None], np.ones((len(here), 1), np.bool_))[:, 0]
@@ -60,19 +60,17 @@ def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArra
 
 def _ground(simulator: Simulator, heading_rad: float = math.nan) -> Ground:
     """What predictions for the present scene follow from."""
-    config, sight_map, users_xy = simulator.config, simulator.terrain.sight_map, simulator.scene.users_xy
+    config, users_xy = simulator.config, simulator.scene.users_xy
     receivers, arrays = np.insert(users_xy, 2, config.world.user_height_m, -1), prediction.Arrays.of(config.radio)
     return Ground(
         simulator.link_table,
         simulator.system,
         arrays,
-        sight_map.grid,
         np.concatenate([receivers, simulator.ap_position[:, None]], 1),
         simulator.aims(users_xy),
         heading_rad,
-        sight_map.blockers(users_xy),
+        simulator.terrain.sight_map.seen(users_xy),
         _beside(simulator, arrays),
-        config.world.panel_height_m,
         config.task.qos_penalty,
     )
 

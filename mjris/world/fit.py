@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError
+from mjris.jit.compiled import compiled
 from mjris.world.layout import Layout
 from mjris.world.layout_checks import Boxes, boxes_of, plan_distance, wall_distance
 from mjris.world.office import CHASSIS_HEIGHT_M, HULL_FLOOR_GAP_M, hull_height, hull_radius, panel_bottom
@@ -107,20 +108,32 @@ def _reachable_m2(layout: Layout, boxes: Boxes, at_hull: NDArray[np.intp], start
     """Area connected to the rover's start that ways may lead over [m²]."""
     x, y = (np.arange(_GRID_M / 2, side, _GRID_M) for side in layout.room.size[:2])
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-    free: BoolArray = wall_distance(points, layout.room) > keep_m + WAY_MARGIN_M
+    keep_m += WAY_MARGIN_M
+    free: BoolArray = wall_distance(points, layout.room) > keep_m
     for b in at_hull:
-        free &= plan_distance(points, boxes, b) > keep_m + WAY_MARGIN_M
+        # Only what is near is looked at, so that large rooms take no longer for every brick.
+        reach_m = keep_m + float(np.hypot(*boxes.half[b, :2]))
+        low, high = ((boxes.centre[b, :2] + way * reach_m) / _GRID_M for way in (-1, 1))
+        window = tuple(slice(max(int(low[i]), 0), int(high[i]) + 2) for i in range(2))
+        free[window] &= plan_distance(points[window], boxes, b) > keep_m
     from_start = np.where(free, np.linalg.norm(points - start, axis=-1), np.inf)
-    reached = np.zeros_like(free)
-    reached.flat[from_start.argmin()] = True
-    reached &= free
-    while True:  # flood fill, one ring a pass
-        grown = reached.copy()
-        grown[1:] |= reached[:-1]
-        grown[:-1] |= reached[1:]
-        grown[:, 1:] |= reached[:, :-1]
-        grown[:, :-1] |= reached[:, 1:]
-        grown &= free
-        if (grown == reached).all():
-            return float(reached.sum()) * _GRID_M**2
-        reached = grown
+    i, j = divmod(int(from_start.argmin()), free.shape[1])
+    return _connected(free, i, j) * _GRID_M**2
+
+
+@compiled
+def _connected(free: BoolArray, i: int, j: int) -> int:
+    """How many free squares are connected to one of them over their sides, itself included."""
+    if not free[i, j]:
+        return 0
+    left, todo, count = free.copy(), [(i, j)], 1
+    left[i, j] = False
+    while todo:
+        i, j = todo.pop()
+        for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            a, b = i + di, j + dj
+            if 0 <= a < left.shape[0] and 0 <= b < left.shape[1] and left[a, b]:
+                left[a, b] = False
+                count += 1
+                todo.append((a, b))
+    return count

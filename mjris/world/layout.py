@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from mjris.assets import assets_dir
 from mjris.config import ConfigError, Positive, validated
-from mjris.world.layout_checks import check_layout
+from mjris.world.layout_checks import THICKEST_WALL_M, check_layout
 
 T = TypeVar("T")
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -126,6 +126,19 @@ class _Item:
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
+class _Wall:
+    """A wall along a line on the floor plan."""
+
+    from_: Annotated[tuple[float, float], Field(alias="from")]
+    to: tuple[float, float]
+    """The ends of its middle line [m]."""
+    thickness_m: Annotated[float, Field(gt=0, le=THICKEST_WALL_M)] = 0.12
+    height_m: Positive | None = None
+    """To the ceiling by default."""
+    material: str = "plaster"
+
+
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class _Furniture:
     kinds: dict[KindName, _Kind]
 
@@ -136,6 +149,7 @@ class _File:
     ap: AccessPoint
     rover: _Rover
     kinds: dict[KindName, _Kind] = Field(default_factory=dict)
+    wall: tuple[_Wall, ...] = ()
     obstacle: tuple[_Item, ...] = ()
     ris: tuple[Panel, ...] = ()
 
@@ -165,12 +179,13 @@ def load_layout(name_or_path: str) -> Layout:
     materials = _material_names()
     _check_materials(furniture.kinds, materials, furniture_path)
     _check_materials(file.kinds, materials, path)
+    walls = tuple(_wall(wall, index, file.room, materials, path) for index, wall in enumerate(file.wall))
     layout = Layout(
         name=path.stem,
         room=file.room,
         ap=file.ap,
         start=file.rover.start,
-        obstacles=_obstacles(file.obstacle, furniture.kinds | file.kinds, path),
+        obstacles=walls + _obstacles(file.obstacle, furniture.kinds | file.kinds, len(walls), path),
         ris=file.ris,
     )
     check_layout(layout, source=str(path))
@@ -202,8 +217,28 @@ def _check_materials(kinds: dict[str, _Kind], materials: list[str], path: Path) 
                 )
 
 
-def _obstacles(items: tuple[_Item, ...], kinds: dict[str, _Kind], path: Path) -> tuple[Obstacle, ...]:
-    count: Counter[str] = Counter()
+def _wall(wall: _Wall, index: int, room: Room, materials: list[str], path: Path) -> Obstacle:
+    """A wall as an obstacle of one brick."""
+    if wall.material not in materials:
+        raise ConfigError(
+            f"{path}: wall.{index}.material: {wall.material!r} is not known: it is one of {', '.join(materials)}"
+        )
+    along, height_m = np.subtract(wall.to, wall.from_), wall.height_m or room.size[2]
+    length_m = float(np.hypot(*along))
+    if length_m == 0:
+        raise ConfigError(f"{path}: wall.{index}.to: {list(wall.to)} is not allowed: the wall begins there, too")
+    middle = np.add(wall.from_, wall.to) / 2
+    size = (length_m, wall.thickness_m, height_m)
+    return Obstacle(
+        name=f"wall_{index + 1}",
+        position=(float(middle[0]), float(middle[1])),
+        yaw=math.atan2(along[1], along[0]),
+        bricks=(Brick(at=(0.0, 0.0, height_m / 2), size=size, material=wall.material),),
+    )
+
+
+def _obstacles(items: tuple[_Item, ...], kinds: dict[str, _Kind], walls: int, path: Path) -> tuple[Obstacle, ...]:
+    count = Counter({"wall": walls})
     obstacles = []
     for index, item in enumerate(items):
         if item.kind not in kinds:

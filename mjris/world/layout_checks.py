@@ -16,7 +16,7 @@ _Floats = NDArray[np.float64]
 
 _TOUCH_M = 1e-6  # rounding allowed where a brick touches a wall
 _OVERLAP_M = 0.01  # how far bricks of two obstacles may sink into each other
-_WALL_THICKNESS_M, _WALL_HEIGHT_M = 0.4, 1.2  # what is thicker or lower is no wall
+THICKEST_WALL_M, _WALL_HEIGHT_M = 0.4, 1.2  # what is thicker or lower is no wall
 _PARALLEL = math.radians(15)  # walls that are less apart are in one line
 
 
@@ -148,7 +148,7 @@ def is_wall(boxes: Boxes, b: int) -> bool:
     """Whether a brick is the only one of its obstacle, stands on the floor, and is thin and high."""
     on_floor = boxes.centre[b, 2] - boxes.half[b, 2] <= _OVERLAP_M
     alone = (boxes.owner == boxes.owner[b]).sum() == 1
-    thin = 2 * boxes.half[b, :2].min() <= _WALL_THICKNESS_M
+    thin = 2 * boxes.half[b, :2].min() <= THICKEST_WALL_M
     return bool(on_floor and alone and thin and 2 * boxes.half[b, 2] >= _WALL_HEIGHT_M)
 
 

@@ -1,6 +1,7 @@
 """Where people stand when an episode begins: anywhere free, and for how many that can be promised."""
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ BoolArray = NDArray[np.bool_]
 
 _TRIES = 32
 """Places that are drawn for a person; where none is free, one is picked of all that are left."""
+_STRIP = 32
+"""How many columns of the grid below are counted at a time."""
 _GRID_M = 0.05
 """Distance between the places that are counted, and picked of then."""
 
@@ -42,7 +45,12 @@ class Placement:
         self._from_rover_m = PERSON_RADIUS_M + hull_radius(config) + world.clearance_m
         self._apart_m = 2 * PERSON_RADIUS_M + world.clearance_m
         for own, layout in enumerate(layouts):
-            most = self._most(len(self._free_grid(own)))
+            most, places = 0, 0
+            for strip in self._free_strips(own):
+                places += len(strip)
+                most = self._most(places)
+                if world.num_users <= most:
+                    break  # in a large room there are millions of places
             if world.num_users > most:
                 raise ConfigError(
                     f"world.num_users: {world.num_users} is not allowed: at world.clearance_m {world.clearance_m} "
@@ -59,7 +67,7 @@ class Placement:
         for k in range(self._users):
             chosen = tried[free[:, k] & self._apart(tried[:, k], places[:k]), k]
             if not len(chosen):
-                grid = self._free_grid(own)
+                grid = np.concatenate(list(self._free_strips(own)))
                 left = grid[self._apart(grid, places[:k])]
                 chosen = left[int(drawn[-1, k, 0] * len(left)) :]
             places[k] = chosen[0]
@@ -74,11 +82,12 @@ class Placement:
         taken = math.pi * (self._apart_m / _GRID_M + math.sqrt(0.5)) ** 2
         return 1 + (places - 1) // math.floor(taken) if places else 0
 
-    def _free_grid(self, own: int) -> FloatArray:
-        """All places of a grid over a layout that are free but for other people [n, 2] [m]."""
+    def _free_strips(self, own: int) -> Iterator[FloatArray]:
+        """All places of a grid over a layout that are free but for other people, in strips along y [n, 2] [m]."""
         x, y = (np.arange(_GRID_M / 2, side, _GRID_M) for side in self._layouts[own].room.size[:2])
-        grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        return grid[self._free(own, grid)]
+        for columns in np.array_split(x, -(-len(x) // _STRIP)):
+            grid = np.stack(np.meshgrid(columns, y, indexing="ij"), axis=-1)
+            yield grid[self._free(own, grid)]
 
     def _free(self, own: int, places: FloatArray) -> BoolArray:
         """Which of `places` [..., 2] [m] in a layout keep from everything solid and the rover [...]."""

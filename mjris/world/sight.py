@@ -20,8 +20,8 @@ class Sight:
 
     def __init__(self, offices: list[Office], people_xy: FloatArray | None = None):
         """For one office or one a cell. People who count as well stand at `people_xy` [E, K, 2] [m], read anew."""
-        self._bricks = Boxes(*map(np.stack, zip(*(office.boxes(GROUP_BLOCKERS) for office in offices), strict=True)))
-        """All with a leading axis of offices."""
+        self.bricks = Boxes(*map(np.stack, zip(*(office.boxes(GROUP_BLOCKERS) for office in offices), strict=True)))
+        """All that count, with a leading axis of offices."""
         self._people_xy = np.empty((1, 0, 2)) if people_xy is None else people_xy
 
     def blockers(
@@ -34,9 +34,7 @@ class Sight:
         cells, links = start.shape[:2]
         own = np.full(links, -1) if own is None else own
         ids = np.arange(cells) if ids is None else ids
-        return _blockers(
-            self._bricks, self._people_xy, np.ascontiguousarray(start), np.ascontiguousarray(end), own, ids
-        )
+        return _blockers(self.bricks, self._people_xy, np.ascontiguousarray(start), np.ascontiguousarray(end), own, ids)
 
 
 @compiled
@@ -49,14 +47,21 @@ def _blockers(
         for link in range(start.shape[1]):
             x, y, z = start[e, link, 0], start[e, link, 1], start[e, link, 2]
             u, v, w = end[e, link, 0] - x, end[e, link, 1] - y, end[e, link, 2] - z
-            last = -1
-            for b in range(bricks.body.shape[1]):
-                if bricks.body[office, b] != last and _meets_brick(bricks, office, b, x, y, z, u, v, w):
-                    last = bricks.body[office, b]
-                    count[e, link] += 1
+            count[e, link] = obstacles(bricks, office, x, y, z, u, v, w)
             for k in range(people.shape[1]):
                 if k != own[link] and _meets_person(x - people[crowd, k, 0], y - people[crowd, k, 1], z, u, v, w):
                     count[e, link] += 1
+    return count
+
+
+@compiled
+def obstacles(bricks: Boxes, office: int, x: float, y: float, z: float, u: float, v: float, w: float) -> int:
+    """How many bodies a way (u, v, w) from (x, y, z) in an office goes through."""
+    count, last = 0, -1
+    for b in range(bricks.body.shape[1]):
+        if bricks.body[office, b] != last and _meets_brick(bricks, office, b, x, y, z, u, v, w):
+            last = bricks.body[office, b]
+            count += 1
     return count
 
 
