@@ -1,6 +1,7 @@
 import math
 from dataclasses import replace
 
+import literal
 import numpy as np
 import pytest
 from hypothesis import given
@@ -87,7 +88,7 @@ def test_the_table_is_what_loops_give(floor, simulator):
                 power = 0.0
                 for rise in (n * 3.3, -n * 3.3):
                     distance = math.dist((x, y, 1.1 - rise), floor.ap_xyz_m)
-                    loss = 20 * math.log10(2000) - 28 + 25.5 * math.log10(distance) + 15 + 4 * (n - 1)
+                    loss = literal.path_loss_db("paper", distance, n, 2e9)
                     power += 0.1 * 10 ** (-loss / 10)
                 snr = 10 ** (floor.snr_db[i, j] / 10)
                 powers.append(power)

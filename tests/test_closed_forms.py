@@ -1,14 +1,14 @@
 """Closed-form phases."""
 
+import literal
 import numpy as np
 import pytest
-from cases import aligned_phases, effective_channel, qos_aligned_phases, qos_first_powers, random_channels, system
+from cases import aligned_phases, effective_channel, qos_aligned_phases, random_channels, system
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mjris.radio.access import noma_rates, oma_rates, zero_forcing
 from mjris.radio.links import Channels
-from mjris.radio.serving import System, qos_or_sum
+from mjris.radio.serving import qos_or_sum
 from mjris.radio.surface import Surface, cascade
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
@@ -61,67 +61,18 @@ def test_links_that_reach_nobody_leave_finite_phases():
     np.testing.assert_array_equal(aligned_phases(channels), np.zeros(5))
 
 
-def slow_serve(served: System, channel, qos_bps):
-    """Powers and rates of one choice of least rates, and everybody's beam [..., K, M], by `access`."""
-    clusters, shape = served.clusters, channel.shape[:-1]
-    powers = np.full(shape, served.tx_power_w / shape[-1])
-    if not served.oma:
-        powers = qos_first_powers(channel, clusters, served.tx_power_w, served.bandwidth_hz, served.noise_w, qos_bps)
-    found = (oma_rates if served.oma else noma_rates)(channel, powers, clusters, served.bandwidth_hz, served.noise_w)
-    beams = np.empty(channel.shape, complex)
-    if served.oma:
-        for band in clusters.T:
-            beams[..., band, :] = np.swapaxes(zero_forcing(channel[..., band, :]), -1, -2)
-    else:
-        strength = (abs(channel) ** 2).sum(-1)
-        for cell in np.ndindex(channel.shape[:-2]):
-            heads = [max(users, key=lambda user: strength[*cell, user]) for users in clusters]
-            for users, beam in zip(clusters, zero_forcing(channel[*cell, heads, :]).T, strict=True):
-                beams[*cell, users, :] = beam
-    return powers, found, beams
-
-
-def slow_phases(served: System, channels: Channels, weights, iterations=7):
-    """`qos_aligned_phases` of all cells at once, from array operations."""
-    strength = (abs(channels.direct) ** 2).sum(-1)
-    best, phases = np.full(len(strength), -np.inf), np.zeros(channels.incident.shape[:2])
-    for rank in range(served.clusters.shape[1]):
-        chosen = np.zeros(strength.shape, bool)
-        for users in served.clusters:
-            at = users[np.argsort(-strength[:, users], axis=1)[:, rank]]
-            chosen[np.arange(len(at)), at] = True
-        toward = np.where(chosen, weights, -1 / weights) / strength
-        response = np.exp(1j * aligned_phases(channels, toward, iterations=0))
-        raised = weights.copy()
-        for iteration in range(iterations):
-            channel = effective_channel(channels, np.angle(response))
-            _, found, beams = slow_serve(served, channel, served.qos_bps)
-            _, unserved, _ = slow_serve(served, channel, 0.0)
-            met = (found >= served.qos_bps).all(-1)
-            found = np.where(np.expand_dims(met, 1), found, unserved)
-            score = found.sum(-1) + 1e12 * met
-            phases = np.where((score > best)[:, None], np.angle(response), phases)
-            best = np.maximum(best, score)
-            own = (channel * beams).sum(-1)
-            if iteration >= 2:
-                raised = np.where(found < served.qos_bps, 2 * raised, raised)
-            toward = raised * own.conj() if iteration < 2 else raised / own
-            through = channels.reflected * np.einsum("enm,ekm->ekn", channels.incident, beams)
-            pull = (toward[..., None] * through).sum(1)
-            response = pull.conj() / abs(pull)
-    return phases
-
-
 @pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.5), ("oma", 2.5)])
 @given(seed=SEEDS)
-def test_aligned_phases_are_those_of_slow_arrays(scheme, qos, seed):
+def test_aligned_phases_are_the_literal_ones(scheme, qos, seed):
     rng = np.random.default_rng(seed)
     channels = random_channels(rng, batch=(5,), elements=9)
     served = system(scheme, 5.0, 1.0, 0.1, qos, random_clusters(rng, 2, 2))
     weights = 10 ** rng.uniform(-1, 1, (5, 4))
-    expected = slow_phases(served, channels, weights, iterations=4)
     found = qos_aligned_phases(served, channels, weights, iterations=4)
-    np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * expected), atol=1e-6)
+    for cell in range(5):
+        direct, incident, reflected = (link[cell] for link in channels)
+        expected = literal.qos_aligned_phases(served, 1.0, direct, incident, reflected, weights[cell], iterations=4)
+        np.testing.assert_allclose(np.exp(1j * found[cell]), np.exp(1j * np.array(expected)), atol=1e-6)
 
 
 @pytest.mark.parametrize(("scheme", "qos"), [("noma", 0.5), ("oma", 2.5)])

@@ -1,6 +1,7 @@
 import math
 from dataclasses import fields, replace
 
+import literal
 import numpy as np
 import pytest
 
@@ -54,9 +55,7 @@ def at(floor, x, y):
 
 
 def loss_by_hand(distance, blocked):
-    if blocked:
-        return 20 * math.log10(2000) - 28 + 25.5 * math.log10(distance) + 15
-    return 16.9 * math.log10(distance) - 27.2 + 20 * math.log10(2000)
+    return literal.path_loss_db("paper", distance, int(blocked), 2e9)
 
 
 def test_the_grid_tiles_the_floor(floor, simulator):

@@ -1,8 +1,8 @@
-"""Which links there are, and the channels over them, against plain loops over numbers."""
+"""Which links there are, and the channels over them."""
 
-import cmath
 import math
 
+import literal
 import numpy as np
 import pytest
 from hypothesis import given
@@ -55,7 +55,8 @@ def test_every_entry_has_the_phase_of_its_own_way_and_the_gain_of_its_link(seed,
         left = iter(diffuse[e])
 
         def check(entry, end, start, link, e=e, left=left):
-            assert_entry(entry, end, start, gain[e, link], k_factor[e, link], next(left))
+            expected = literal.entry(gain[e, link], k_factor[e, link], end, start, next(left), WAVELENGTH)
+            assert entry == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
         for k in range(users):
             for m in range(antennas):
@@ -66,13 +67,6 @@ def test_every_entry_has_the_phase_of_its_own_way_and_the_gain_of_its_link(seed,
         for k in range(users):
             for n, s in enumerate(panel_of):
                 check(found.reflected[e, k, n], people[e, k], elements[e, n], made.reflected.start + s * users + k)
-
-
-def assert_entry(found, end, start, gain, k_factor, diffuse):
-    """Eq. (PL): Rician fading around the phase of the distance."""
-    los = cmath.exp(-2j * math.pi * math.dist(end, start) / WAVELENGTH)
-    fading = math.sqrt(k_factor / (k_factor + 1)) * los + math.sqrt(1 / (k_factor + 1)) * diffuse
-    assert found == pytest.approx(math.sqrt(gain) * fading, rel=1e-9, abs=1e-15)
 
 
 @pytest.mark.parametrize("k_factor", [0.0, 1.0, 5.0])
@@ -103,22 +97,11 @@ def test_means_are_path_loss_and_pattern_of_the_panel_at_the_end(table, pattern)
     mean = links.means(LinkTable.of(radio), made.panel, start, end, obstacles, heading)
     for e in range(cells):
         for link in range(start.shape[1]):
-            d, f, n = max(1, math.dist(start[e, link], end[e, link])), 20 * math.log10(2000), obstacles[e, link]
-            if table == "paper":
-                loss = 16.9 * math.log10(d) - 27.2 + f if n == 0 else f - 28 + 25.5 * math.log10(d) + 15 + 4 * (n - 1)
-            else:
-                loss = 32.4 + 17.3 * math.log10(d) + 20 * math.log10(2)
-                loss = max(loss, (17.3 + 38.3 * math.log10(d) + 24.9 * math.log10(2)) if n > 0 else 0)
-            s, ahead = made.panel[link], 1.0
-            if s >= 0:
-                away = start[e, link] - end[e, link]
-                forward = (math.cos(heading[e, s]), math.sin(heading[e, s]), 0)
-                ahead = (forward @ away) / max(np.linalg.norm(away), 1e-12)
-            gain = 1.0
-            if s >= 0 and pattern == "cosine":
-                gain = 2 * 1.8 * ahead**0.8 if ahead > 0 else 0.0
+            n, s = int(obstacles[e, link]), made.panel[link]
+            loss = literal.path_loss_db(table, math.dist(start[e, link], end[e, link]), n, radio.carrier_hz)
+            gain = literal.mean_gain(radio, start[e, link], end[e, link], None if s < 0 else heading[e, s], n)
             assert mean.loss_db[e, link] == pytest.approx(loss, rel=1e-12)
-            assert mean.gain[e, link] == pytest.approx(gain * 10 ** (-loss / 10), rel=1e-11, abs=1e-200)
+            assert mean.gain[e, link] == pytest.approx(gain, rel=1e-11, abs=1e-200)
             assert mean.k_factor[e, link] == pytest.approx(0 if n else 10**0.5)
 
 

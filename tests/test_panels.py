@@ -5,6 +5,7 @@
 import math
 from dataclasses import replace
 
+import literal
 import mujoco
 import numpy as np
 import pytest
@@ -125,13 +126,8 @@ def test_links_of_all_panels_are_those_of_their_places(config, simulator):
             ends = [*world.receivers()[e], simulator.ap_position[e]]
             gains = [*reflected[e, s], scene.mean_gain[e, links.incident][s]]
             for end, gain in zip(ends, gains, strict=True):
-                away = end - panel
                 n = world.sight.blockers(end[None, None], panel[None, None], ids=np.array([e]))[0, 0]
-                d = max(1.0, float(np.linalg.norm(away)))
-                loss = 16.9 * math.log10(d) - 27.2 if n == 0 else 25.5 * math.log10(d) - 28 + 15 + 4 * (n - 1)
-                cosine = away @ [math.cos(heading), math.sin(heading), 0] / np.linalg.norm(away)
-                pattern = 2 * 1.57 * cosine**0.57 if cosine > 0 else 0
-                assert gain == pytest.approx(pattern * 10 ** (-(loss + 20 * math.log10(2000)) / 10), rel=1e-9)
+                assert gain == pytest.approx(literal.mean_gain(config.radio, end, panel, heading, n), rel=1e-9)
 
 
 def test_what_elements_add_is_the_sum_over_all_panels(simulator):
@@ -194,12 +190,8 @@ def test_the_floor_map_adds_all_panels_in_phase(config):
     for s, (centre, heading, count) in enumerate(
         zip(centres, alone.world.panel_headings()[0], (16, 15, 4), strict=True)
     ):
-        away = place - centre
         n = alone.world.sight.blockers(place[None, None], centre[None, None])[0, 0]
-        d = max(1.0, float(np.linalg.norm(away)))
-        loss = 16.9 * math.log10(d) - 27.2 if n == 0 else 25.5 * math.log10(d) - 28 + 15 + 4 * (n - 1)
-        cosine = away @ [math.cos(heading), math.sin(heading), 0] / np.linalg.norm(away)
-        gain = (2 * 1.57 * cosine**0.57 if cosine > 0 else 0) * 10 ** (-(loss + 20 * math.log10(2000)) / 10)
+        gain = literal.mean_gain(config.radio, place, centre, heading, n)
         amplitude += count * math.sqrt(gain * scene.mean_gain[0, alone.links.incident][s])
     snr = config.radio.tx_power_w * 4 * amplitude**2 / config.radio.noise_w
     assert floor.ris_snr_db[y, x] == pytest.approx(10 * math.log10(snr), abs=1e-6)

@@ -1,6 +1,7 @@
 import math
 from dataclasses import replace
 
+import literal
 import numpy as np
 import pytest
 
@@ -36,12 +37,8 @@ def test_link_gains_are_those_of_the_formulas_at_every_place(simulator):
                 start = end if k == 4 else np.array([*np.rint(end[:2] / 0.5) * 0.5, end[2]])
                 stop = np.array([*middle, panel[2]])
                 n = world.sight.blockers(start[None, None], stop[None, None])[0, 0]
-                d = max(1, np.linalg.norm(end - panel))
-                loss = 16.9 * math.log10(d) - 27.2 + 20 * math.log10(2000)
-                if n:
-                    loss = 20 * math.log10(2000) - 28 + 25.5 * math.log10(d) + 15 + 4 * (n - 1)
-                cosine = max(0, (end - panel) @ facing / np.linalg.norm(end - panel))
-                assert found == pytest.approx(10 ** (-loss / 10) * 2 * 1.57 * cosine**0.57, rel=1e-9)
+                expected = literal.mean_gain(OFFICE.radio, end, panel, math.atan2(facing[1], facing[0]), n)
+                assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_place_behind_the_world_is_worth_what_the_direct_channel_is(simulator):

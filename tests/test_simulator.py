@@ -2,6 +2,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import literal
 import numpy as np
 import pytest
 
@@ -250,9 +251,7 @@ def test_path_losses_are_the_papers_formulas_at_the_scenes_distances(carrier_hz)
             users = [np.array([*xy, world.user_height_m]) for xy in scene.users_xy[e]]
             ends = [(ap, user) for user in users] + [(panel, user) for user in users] + [(ap, panel)]
             for (a, b), n, loss in zip(ends, scene.blockers[e], scene.path_loss_db[e], strict=True):
-                d, f = max(1, math.dist(a, b)), 20 * math.log10(carrier_hz / 1e6)
-                clear, blocked = 16.9 * math.log10(d) - 27.2 + f, f - 28 + 25.5 * math.log10(d) + 15 + 4 * (n - 1)
-                assert loss == pytest.approx(blocked if n else clear, abs=1e-9)
+                assert loss == pytest.approx(literal.path_loss_db("paper", math.dist(a, b), n, carrier_hz), abs=1e-9)
 
 
 def test_mean_power_of_the_channels_is_path_loss_and_pattern():
