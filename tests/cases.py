@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mjris.radio import closed_forms, serving, surface
+from mjris.radio import closed_forms, powers, surface
 from mjris.radio.fading import complex_normal
 from mjris.radio.links import Channels
 from mjris.radio.serving import System
@@ -34,4 +34,4 @@ def qos_first_powers(channel, clusters, tx_power_w, bandwidth_hz, noise_w, qos_b
     """For NOMA, where every cluster spends its share."""
     served = system("noma", tx_power_w, bandwidth_hz, noise_w, qos_bps, clusters)
     budgets = np.full(len(served.clusters), tx_power_w / len(served.clusters))
-    return serving.qos_first_powers(served, channel, budgets, order)
+    return powers.qos_first_powers(served, channel, budgets, order)

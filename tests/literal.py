@@ -209,7 +209,7 @@ def qos_first(gain, order, budgets, wanted_bps, bandwidth_hz):
 
 
 def qos_or_sum(system, known, wanted_bps, order=None):
-    """`serving.qos_or_sum`: powers and rates of all users."""
+    """`powers.qos_or_sum`: powers and rates of all users."""
     clusters = [list(map(int, users)) for users in system.clusters]
     users = range(len(known))
     if system.oma:

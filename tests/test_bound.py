@@ -14,7 +14,8 @@ from mjris.eval.optimum import best_known
 from mjris.radio.access import noma_rates, oma_rates
 from mjris.radio.fading import complex_normal
 from mjris.radio.links import Channels
-from mjris.radio.serving import System, split_powers
+from mjris.radio.powers import split_powers
+from mjris.radio.serving import System
 
 SEEDS = st.integers(0, 2**32 - 1)
 SCHEMES = st.sampled_from(["noma", "oma"])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.radio.links import Channels
-from mjris.radio.serving import qos_or_sum
+from mjris.radio.powers import qos_or_sum
 from mjris.radio.surface import Surface, cascade
 
 CLUSTERS = np.array([[0, 3], [2, 1]])

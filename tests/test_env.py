@@ -15,6 +15,7 @@ from mjris.config import Config, ConfigError, preset
 from mjris.envs.gym_env import OfficeEnv
 from mjris.envs.sb3_vec import OfficeVecEnv
 from mjris.radio import closed_forms, serving
+from mjris.radio.powers import qos_or_sum
 from mjris.simulation.outlook import bare_values, best_goals, place_values
 from mjris.simulation.streams import CellId
 from mjris.simulation.task import Task
@@ -235,7 +236,7 @@ def test_action_zero_is_the_closed_forms(scheme):
     aligned = closed_forms.qos_aligned_phases(system, simulator.surface, simulator.scene.known)
     np.testing.assert_allclose(phases, aligned)
     wanted = np.full(4, 1.05 * task.config.task.qos_bps)
-    best, _ = serving.qos_or_sum(system, simulator.effective_channel(aligned), wanted)
+    best, _ = qos_or_sum(system, simulator.effective_channel(aligned), wanted)
     np.testing.assert_allclose(powers, best, rtol=1e-12)
 
 

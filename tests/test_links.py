@@ -28,6 +28,13 @@ def test_links_are_users_panels_with_users_and_panels():
     assert made.panel.tolist() == [-1, -1, 0, 0, 1, 1, 2, 2, 0, 1, 2]
 
 
+def test_entries_belong_to_the_links_of_their_ends():
+    direct, incident, reflected = Links(2, np.array([1, 3])).of_entries(2)
+    assert direct.tolist() == [[0, 0], [1, 1]]
+    assert incident.tolist() == [[6, 6], [7, 7], [7, 7], [7, 7]]
+    assert reflected.tolist() == [[2, 4, 4, 4], [3, 5, 5, 5]]
+
+
 def test_links_end_where_everything_stands():
     rng = np.random.default_rng(3)
     ap, panels, receivers = rng.random((4, 3)), rng.random((4, 2, 3)), rng.random((4, 3, 3))

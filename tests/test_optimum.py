@@ -21,6 +21,7 @@ from mjris.radio import serving
 from mjris.radio.access import noma_rates, oma_rates
 from mjris.radio.fading import complex_normal
 from mjris.radio.links import Channels
+from mjris.radio.powers import qos_or_sum
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)
@@ -203,7 +204,7 @@ def test_the_best_known_for_a_given_order_is_kept_in_it_and_beats_the_closed_for
     served = serving.System.of(radio, CLUSTERS, 0.3 * BAND)
     phases = qos_aligned_phases(served, channels, None, order)
     effective = effective_channel(channels, phases)
-    _, closed = serving.qos_or_sum(served, effective, None, order)
+    _, closed = qos_or_sum(served, effective, None, order)
     assert (score(best.rates_bps, 0.3 * BAND) >= score(closed, 0.3 * BAND) - 1e-3 * BAND).all()
     effective = effective_channel(channels, best.phases_rad)
     np.testing.assert_allclose(serving.rates(served, effective, best.powers_w, order), best.rates_bps, rtol=1e-9)

@@ -9,6 +9,7 @@ import pytest
 from mjris.config import Config, Radio, Task, World
 from mjris.planning.radio_map import penalised
 from mjris.radio import access, serving
+from mjris.radio.powers import qos_or_sum
 from mjris.simulation.scene import Slot
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import first_cells
@@ -218,7 +219,7 @@ def test_bare_rates_are_those_without_ris_under_the_reference_powers(scheme):
     simulator = Simulator(config(scheme=scheme, task=Task(reward="gain")), cells=3)
     radio, task = simulator.config.radio, simulator.config.task
     direct = simulator.scene.channels.direct
-    powers, _ = serving.qos_or_sum(serving.System.of(radio, simulator.clusters, task.qos_bps), direct)
+    powers, _ = qos_or_sum(serving.System.of(radio, simulator.clusters, task.qos_bps), direct)
     rates = access.noma_rates if scheme == "noma" else access.oma_rates
     expected = rates(direct, powers, simulator.clusters, radio.bandwidth_hz, radio.noise_w)
     bare_bps = play(simulator, 1)[0].bare_rates_bps

@@ -7,7 +7,8 @@ from torch import Tensor
 
 from mjris.config import Radio
 from mjris.eval.gradients import Problem, cluster_merit, effective_gains, merit, qos_budgets, weakest_first
-from mjris.radio.serving import System, qos_first_powers
+from mjris.radio.powers import qos_first_powers
+from mjris.radio.serving import System
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]

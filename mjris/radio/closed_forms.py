@@ -9,7 +9,8 @@ from mjris.jit.compiled import compiled
 from mjris.radio.beams import strength
 from mjris.radio.decoding import ascending
 from mjris.radio.links import Channels
-from mjris.radio.serving import System, serve
+from mjris.radio.powers import serve
+from mjris.radio.serving import System
 from mjris.radio.surface import Parts, Surface, effective, flattened, parts
 
 FloatArray = NDArray[np.floating]

@@ -48,6 +48,15 @@ class Links:
         self.panel = np.concatenate([np.full(users, -1), np.repeat(np.arange(panels), users), np.arange(panels)])
         """The panel at the end of every link [L], -1 for none."""
 
+    def of_entries(self, antennas: int) -> tuple[IntArray, IntArray, IntArray]:
+        """The links of all entries of h_d [K, M], G [N, M] and h_r [K, N]."""
+        users, panel_of = self.direct.stop, np.repeat(np.arange(len(self.elements)), self.elements)
+        return (
+            np.repeat(np.arange(users)[:, None], antennas, 1),
+            np.repeat(self.incident.start + panel_of[:, None], antennas, 1),
+            self.reflected.start + users * panel_of + np.arange(users)[:, None],
+        )
+
     def ends(self, ap: FloatArray, panels: FloatArray, receivers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where links start and end, both [E, L, 3] [m].
 

@@ -1,7 +1,4 @@
-"""What users get in a slot, and the closed forms for powers.
-
-Beams, decoding orders and powers follow from the channels that are known; rates are those of the channels that are.
-"""
+"""What users get in a slot: beams and decoding orders from the channels that are known, rates over those that are."""
 
 from typing import NamedTuple
 
@@ -11,8 +8,8 @@ from numpy.typing import NDArray
 from mjris.config import Radio
 from mjris.jit.compiled import compiled
 from mjris.radio.beams import band_beams, cluster_beams, received
-from mjris.radio.decoding import ascending, cancelled, decodable, qos_first
-from mjris.radio.equations import needed_share, rate_bps
+from mjris.radio.decoding import ascending, cancelled
+from mjris.radio.equations import rate_bps
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -62,10 +59,10 @@ def rates(
     """
     if not (powers_w >= 0).all():
         raise ValueError(f"power_w: {powers_w} is not allowed: every power must be at least 0 W")
-    flat, shape, perfect = _flat(channel, 2), channel.shape[:-1], known is None or known is channel
-    beams_from = flat if known is None or perfect else _flat(known, 2)
-    powers, orders = _flat(_filling(powers_w, shape), 1), _orders(system, len(flat), order)
-    return _rates(system, flat, beams_from, perfect, powers, orders).reshape(shape)
+    channels, shape, perfect = flat(channel, 2), channel.shape[:-1], known is None or known is channel
+    beams_from = channels if known is None or perfect else flat(known, 2)
+    powers, decoded = flat(filling(powers_w, shape), 1), orders(system, len(channels), order)
+    return _rates(system, channels, beams_from, perfect, powers, decoded).reshape(shape)
 
 
 def decoding_order(system: System, known: ComplexArray, powers_w: FloatArray) -> IntArray:
@@ -81,36 +78,7 @@ def effective_gains(system: System, channel: ComplexArray, known: ComplexArray, 
     return _all_gains(system, np.ascontiguousarray(channel), np.ascontiguousarray(known), powers_w)
 
 
-def qos_or_sum(
-    system: System, known: ComplexArray, wanted_bps: FloatArray | None = None, order: IntArray | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Powers [..., K] [W] for known channels [..., K, M], and the rates [..., K] [bit/s] that they promise.
-
-    The most in eq. (R) with a budget of P/V for each cluster: QoS-first powers where they give every user its QoS, for
-    `wanted_bps` [..., K] >= QoS if that can be had, or else for the QoS itself. If not, it is missed anyhow, and only
-    the sum counts: then the strongest user of a cluster has all of its power. With OMA every user has P/K; a scheduler
-    that selects gives a cluster's all to its strongest user where somebody has no QoS and that gives more. `order` as
-    in `rates`; in one that is not that of the gains a user has the gain of the weakest that decodes its signal.
-    """
-    shape, flat = known.shape[:-1], _flat(known, 2)
-    wanted = np.full(shape, system.qos_bps) if wanted_bps is None else _filling(wanted_bps, shape)
-    powers, reached = _serve_all(system, flat, _flat(wanted, 1), _orders(system, len(flat), order))
-    return powers.reshape(shape), reached.reshape(shape)
-
-
-def qos_first_powers(
-    system: System, known: ComplexArray, budgets_w: FloatArray, order: IntArray | None = None
-) -> FloatArray:
-    """Powers [..., K] [W] of clusters that spend `budgets_w` [..., V] [W], for known channels [..., K, M] and NOMA.
-
-    QoS first, then the last decoded has the rest; without QoS all goes to the strongest user in any order.
-    """
-    flat = _flat(known, 2)
-    budgets = _flat(_filling(budgets_w, (*known.shape[:-2], len(system.clusters))), 1)
-    return _all_qos_first(system, flat, budgets, _orders(system, len(flat), order)).reshape(known.shape[:-1])
-
-
-def _orders(system: System, cells: int, order: IntArray | None) -> IntArray:
+def orders(system: System, cells: int, order: IntArray | None) -> IntArray:
     """Decoding orders [E, V, K/V], for every cell one."""
     if order is None:
         return system.no_order(cells)
@@ -119,32 +87,12 @@ def _orders(system: System, cells: int, order: IntArray | None) -> IntArray:
     return order
 
 
-@compiled
-def split_powers(system: System, shares: FloatArray) -> FloatArray:
-    """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have, eq. (OPPE), in all P_max at most.
-
-    With NOMA a cluster has P/V, and shares that add up to more than one are scaled down to it; with OMA a user has P/K.
-    """
-    powers = np.empty(shares.shape)
-    for cell in range(len(shares)):
-        for v in range(len(system.clusters)):
-            asked = 0.0
-            for user in system.clusters[v]:
-                asked += shares[cell, user]
-            for user in system.clusters[v]:
-                if system.oma:
-                    powers[cell, user] = system.tx_power_w / shares.shape[1] * shares[cell, user]
-                else:
-                    powers[cell, user] = system.tx_power_w / len(system.clusters) * shares[cell, user] / max(asked, 1.0)
-    return powers
-
-
-def _filling(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def filling(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """`values` broadcast to a shape, at no cost where they have it."""
     return values if values.shape == shape else np.broadcast_to(values, shape)
 
 
-def _flat(values: np.ndarray, axes: int) -> np.ndarray:
+def flat(values: np.ndarray, axes: int) -> np.ndarray:
     """`values` with all leading axes but the last `axes` in one, contiguous."""
     return np.ascontiguousarray(values).reshape(-1, *values.shape[values.ndim - axes :])
 
@@ -157,7 +105,7 @@ def _rates(
     found = np.empty(powers.shape)
     for cell in range(len(channel)):
         if system.oma and not (system.selects and _selected(system, powers[cell])):
-            found[cell] = _oma(system, channel[cell], band_beams(known[cell], system.clusters), powers[cell])
+            found[cell] = oma_rates(system, channel[cell], band_beams(known[cell], system.clusters), powers[cell])
         else:
             beams, budgets = cluster_beams(known[cell], system.clusters), _spent(system, powers[cell])
             gains, decoded = gains_over(system, known[cell], beams, budgets), order[cell]
@@ -210,75 +158,6 @@ def _selected(system: System, powers: FloatArray) -> bool:
 
 
 @compiled
-def _serve_all(
-    system: System, known: ComplexArray, wanted: FloatArray, order: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    powers, reached = np.empty(wanted.shape), np.empty(wanted.shape)
-    for cell in range(len(known)):
-        powers[cell], reached[cell], _ = serve(system, known[cell], wanted[cell], order[cell])
-    return powers, reached
-
-
-@compiled
-def serve(
-    system: System, known: ComplexArray, wanted: FloatArray, order: IntArray
-) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Powers and rates [K] of `qos_or_sum` in one cell, and the beam of every user [K, M].
-
-    In a decoding order [V, K/V], or that of the gains if it begins with a negative number.
-    """
-    if not system.oma:
-        return _serve_noma(system, known, wanted, order, system.qos_bps)
-    beams = band_beams(known, system.clusters)
-    powers = np.full(len(known), system.tx_power_w / len(known))
-    reached = _oma(system, known, beams, powers)
-    if system.selects and reached.min() < system.qos_bps:
-        alone = _serve_noma(system, known, wanted, order, 0.0)
-        if alone[1].sum() > reached.sum():
-            return alone
-    return powers, reached, beams
-
-
-@compiled
-def _serve_noma(
-    system: System, known: ComplexArray, wanted: FloatArray, order: IntArray, qos_bps: float
-) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """`serve` with superposed users, who are to have `qos_bps`."""
-    beams = cluster_beams(known, system.clusters)
-    budgets = np.full(len(system.clusters), system.tx_power_w / len(system.clusters))
-    gains = gains_over(system, known, beams, budgets)
-    by_gain = ascending(system.clusters, gains)
-    decoded = order if order[0, 0] >= 0 else by_gain
-    needed, powers, reached = np.empty(len(known)), np.empty(len(known)), np.full(len(known), -np.inf)
-    least = decodable(gains, decoded)
-    for attempt in range(2 if qos_bps > 0 else 0):
-        if reached.min() < qos_bps:
-            for user in range(len(needed)):
-                needed[user] = needed_share(system.bandwidth_hz, wanted[user] if attempt == 0 else qos_bps)
-            qos_first(least, decoded, budgets, needed, powers)
-            cancelled(system.bandwidth_hz, gains, powers, decoded, reached)
-    if qos_bps == 0 or reached.min() < qos_bps:
-        # All to the strongest ones; who is sent nothing decodes for nobody, so that no order matters.
-        needed[:] = 0
-        qos_first(gains, by_gain, budgets, needed, powers)
-        cancelled(system.bandwidth_hz, gains, powers, by_gain, reached)
-    return powers, reached, beams
-
-
-@compiled
-def _all_qos_first(system: System, known: ComplexArray, budgets: FloatArray, order: IntArray) -> FloatArray:
-    powers = np.empty(known.shape[:2])
-    for cell in range(len(known)):
-        gains = gains_over(system, known[cell], cluster_beams(known[cell], system.clusters), budgets[cell])
-        decoded = ascending(system.clusters, gains)
-        if system.qos_bps > 0 and order[cell, 0, 0] >= 0:
-            decoded = order[cell]
-        needed = np.full(known.shape[1], needed_share(system.bandwidth_hz, system.qos_bps))
-        qos_first(decodable(gains, decoded), decoded, budgets[cell], needed, powers[cell])
-    return powers
-
-
-@compiled
 def gains_over(system: System, channel: ComplexArray, beams: ComplexArray, budgets: FloatArray) -> FloatArray:
     """`effective_gains` [K] over the users' beams [K, M], for clusters that spend `budgets` [V] [W]."""
     gains = np.empty(len(channel))
@@ -293,7 +172,7 @@ def gains_over(system: System, channel: ComplexArray, beams: ComplexArray, budge
 
 
 @compiled
-def _oma(system: System, channel: ComplexArray, beams: ComplexArray, powers: FloatArray) -> FloatArray:
+def oma_rates(system: System, channel: ComplexArray, beams: ComplexArray, powers: FloatArray) -> FloatArray:
     """Rates [K] [bit/s] with OMA over the users' beams [K, M]; bands share the noise."""
     found = np.empty(len(channel))
     bands = system.clusters.shape[1]

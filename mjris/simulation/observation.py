@@ -12,6 +12,7 @@ from mjris.simulation.simulator import Simulator
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
+IntArray = NDArray[np.int64]
 Seen = NDArray[np.float32]
 
 FAR_M = 12.0
@@ -34,7 +35,7 @@ def channel_state(simulator: Simulator) -> Seen:
     width = 4 + 2 * users + scene.path_loss_db.shape[1]
     width += 2 * (users * antennas + elements * antennas + users * elements)
     seen = np.empty((simulator.num_cells, width), np.float32)
-    _write_channel_state(seen, *_geometry(simulator), _fading(simulator))
+    _write_channel_state(seen, *_geometry(simulator), scene.known, simulator.link_of)
     return seen
 
 
@@ -61,20 +62,6 @@ def _geometry(simulator: Simulator) -> tuple[FloatArray, FloatArray, FloatArray,
     return scene.rover_xy, scene.panel_heading, scene.users_xy, simulator.room_m, scene.path_loss_db
 
 
-def _fading(simulator: Simulator) -> Channels:
-    """The known channels with the path losses taken out."""
-    links, known = simulator.links, simulator.scene.known
-    amplitude = 10 ** (simulator.scene.path_loss_db / 20)
-    incident = amplitude[:, links.incident].repeat(links.elements, 1)
-    panels = amplitude[:, links.reflected].reshape(len(amplitude), len(links.elements), -1)
-    reflected = np.ascontiguousarray(panels.repeat(links.elements, 1).swapaxes(1, 2))
-    return Channels(
-        known.direct * amplitude[:, links.direct, None],
-        known.incident * incident[..., None],
-        known.reflected * reflected,
-    )
-
-
 @compiled
 def _write_channel_state(
     seen: Seen,
@@ -83,14 +70,16 @@ def _write_channel_state(
     users_xy: FloatArray,
     room_m: FloatArray,
     loss_db: FloatArray,
-    fading: Channels,
+    channels: Channels,
+    link_of: tuple[IntArray, IntArray, IntArray],
 ) -> None:
     for e in range(len(seen)):
-        own = seen[e]
+        own, amplitude = seen[e], 10.0 ** (loss_db[e] / 20)
         at = _write_positions(own, rover_xy[e], panel_heading[e], users_xy[e], room_m[e])
         at = _write_losses(own, at, loss_db[e])
-        for link in (fading.direct[e], fading.incident[e], fading.reflected[e]):
-            at = _write_parts(own, at, link)
+        at = _write_fading(own, at, channels.direct[e], link_of[0], amplitude)
+        at = _write_fading(own, at, channels.incident[e], link_of[1], amplitude)
+        _write_fading(own, at, channels.reflected[e], link_of[2], amplitude)
 
 
 @compiled
@@ -163,11 +152,15 @@ def _write_losses(seen: Seen, at: int, loss_db: FloatArray) -> int:
 
 
 @compiled
-def _write_parts(seen: Seen, at: int, channel: ComplexArray) -> int:
-    """Write all real parts of a channel [., .] from `at` on, then the imaginary ones; where they end."""
-    for row in channel:
-        for entry in row:
-            seen[at], seen[at + channel.size] = entry.real, entry.imag
+def _write_fading(seen: Seen, at: int, channel: ComplexArray, link_of: IntArray, amplitude: FloatArray) -> int:
+    """Write all real parts of a channel [., .] from `at` on, then the imaginary ones; where they end.
+
+    With the path loss taken out: over the `amplitude` [L] of the link that each entry is `link_of` [., .].
+    """
+    for row in range(channel.shape[0]):
+        for column in range(channel.shape[1]):
+            over = amplitude[link_of[row, column]]
+            seen[at], seen[at + channel.size] = channel[row, column].real * over, channel[row, column].imag * over
             at += 1
     return at + channel.size
 

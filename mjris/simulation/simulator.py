@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.planning.terrain import Terrain
-from mjris.radio import closed_forms, fading, links, serving
+from mjris.radio import closed_forms, fading, links, powers, serving
 from mjris.radio.surface import Surface, effective_channel
 from mjris.radio.tables import LinkTable
 from mjris.simulation.checks import checked
@@ -63,6 +63,8 @@ class Simulator:
         self.link_table, self.surface = LinkTable.of(radio), Surface.of(radio)
         self.links = links.Links(k, counts)
         """Which links there are: the axes [L] of the scene."""
+        self.link_of = self.links.of_entries(m)
+        """The links of all entries of h_d [K, M], G [N, M] and h_r [K, N]."""
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
@@ -131,7 +133,8 @@ class Simulator:
         sent = self._transmit(parts, phases_rad, powers_w, retune)
         self._face_panels(pan_rad)
         if fresh is not None:
-            self._diffuse = fading.evolve(self._diffuse, fresh, self.config.radio.fading_memory)
+            memory = self.config.radio.fading_memory
+            self._diffuse = fading.evolve(self._diffuse, fresh, memory) if memory > 0 else fresh
         self.scene = self._observe(self._diffuse)
         self.slots += 1
         return Slot(
@@ -214,12 +217,12 @@ class Simulator:
     def reference_powers(
         self, effective: ComplexArray, wanted_bps: FloatArray | None = None, order: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Closed-form powers [..., K] [W] for known channels [..., K, M], and what they promise: `qos_or_sum`."""
-        return serving.qos_or_sum(self.system, effective, wanted_bps, order)
+        """Closed-form powers [..., K] [W] for known channels [..., K, M], and their promise: `powers.qos_or_sum`."""
+        return powers.qos_or_sum(self.system, effective, wanted_bps, order)
 
     def split_powers(self, shares: FloatArray) -> FloatArray:
-        """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `serving.split_powers`."""
-        return serving.split_powers(self.system, checked("shares", shares, (self.num_cells, self.clusters.size)))
+        """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `powers.split_powers`."""
+        return powers.split_powers(self.system, checked("shares", shares, (self.num_cells, self.clusters.size)))
 
     def reference_phases(self, weights: FloatArray | None = None, channels: links.Channels | None = None) -> FloatArray:
         """Closed-form phases [E, N] [rad] for user weights [E, K]: `qos_aligned_phases` in the cells' decoding order.
