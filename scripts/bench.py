@@ -101,6 +101,7 @@ def simulator(quick: bool) -> list[Row]:
     repeats, slots = (3, 5) if quick else (7, 50)
     one, two, single, bare = measures.kinematic(preset("paper"), repeats, slots)
     office = measures.kinematic(preset("office"), repeats, max(2, slots // 5))
+    few, many = measures.elements(preset("office"), repeats, 4 * slots)
     ours, physics = measures.wheels(preset("paper"), repeats, max(2, slots // 5))
     return [
         Row("kinematic, E = 64, one process [slots/s]", one, ",.0f"),
@@ -114,6 +115,9 @@ def simulator(quick: bool) -> list[Row]:
         Row("office task, E = 64, two processes [slots/s]", office[1], ",.0f"),
         Row("office task, E = 1 [slots/s]", office[2], ",.0f"),
         Row("office task, E = 64, one process / matrices alone", ratios(office[0], office[3]), ".3f", ratio=True),
+        Row("office task, E = 1, N = 16 [ms a slot]", few, ".2f"),
+        Row("office task, E = 1, N = 1,024 [ms a slot]", many, ".2f"),
+        Row("N = 16 / N = 1,024", ratios(few, many), ".2f", "0.40", ratio=True),
         Row("wheels, E = 64 [slots/s]", ours, ",.0f"),
         Row("bare Batch.step of the same model [slots/s]", physics, ",.0f"),
         Row("wheels / bare Batch.step", ratios(ours, physics), ".2f", "0.80", ratio=True),

@@ -69,6 +69,17 @@ def kinematic(config: Config, repeats: int, slots: int) -> list[list[float]]:
     return [rates(count, spent) for count, spent in zip(counts, times, strict=True)]
 
 
+def elements(config: Config, repeats: int, slots: int) -> list[list[float]]:
+    """Milliseconds of a slot with 4 × 4 elements, and with 32 × 32, of one cell each at 28 GHz."""
+    radio = replace(config.radio, carrier_hz=28e9)
+    panels = [replace(config, radio=replace(radio, panel_rows=side, panel_cols=side)) for side in (4, 32)]
+    envs = [OfficeVecEnv(1, each) for each in panels]
+    times = in_turn([partial(stepper(env), slots) for env in envs], repeats)
+    for env in envs:
+        env.close()
+    return [[1e3 * spent / slots for spent in own] for own in times]
+
+
 def bare_matrices(config: Config, steps: int) -> Callable[[], None]:
     """What a matrix-only environment of the same M, N, K does in a step: cascaded channel, zero forcing, rates."""
     m, n, k, v = config.radio.num_antennas, config.radio.num_elements, config.world.num_users, config.radio.num_clusters

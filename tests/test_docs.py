@@ -3,9 +3,13 @@
 import ast
 import pkgutil
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from mjris.config import preset
+from mjris.simulation.simulator import Simulator
 
 ROOT = Path(__file__).parents[1]
 PAGES = ("docs/model.md", "docs/change-an-equation.md", "docs/learning.md", "docs/reference.md", "README.md")
@@ -28,6 +32,14 @@ def test_functions_and_files_that_a_page_names_are_there(page):
     names = re.findall(rf"`(?:mjris\.)?((?:{PACKAGES})(?:\.\w+){{2,}})`", text)
     assert not [file for file in files if not (ROOT / "mjris" / file).is_file()]
     assert not [name for name in names if not resolves(name)]
+
+
+def test_the_readmes_office_can_be_trained_in(tmp_path):
+    path = tmp_path / "studio.toml"
+    path.write_text(re.findall(r"```toml\n(# studio.toml\n.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)[0])
+    config = preset("demo")
+    simulator = Simulator(replace(config, world=replace(config.world, layout=str(path))))
+    assert simulator.num_elements == config.radio.num_elements + 64
 
 
 def resolves(name: str) -> bool:

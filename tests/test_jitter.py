@@ -33,6 +33,15 @@ def test_obstacles_move_within_the_distance_and_the_layout_stays_valid(name):
         assert (before.name, before.yaw, before.bricks) == (after.name, after.yaw, after.bricks)
 
 
+def test_walls_stay():
+    layout = load_layout("clinic")
+    walls = np.array([obstacle.name.startswith("wall") for obstacle in layout.obstacles])
+    assert 10 < walls.sum() < len(walls)
+    far = np.linalg.norm(moves(layout, jittered(layout, CONFIG, np.random.default_rng(0))), axis=-1)
+    assert (far[walls] == 0).all()
+    assert (far[~walls] > 0).any()
+
+
 def test_a_wide_panel_keeps_its_room_at_the_start():
     wide = Config(world=World(layout_jitter_m=1.0, start_m=(7.5, 11.1)), radio=Radio(panel_cols=20))
     layout, start = load_layout("open"), np.array([7.5, 11.1])
