@@ -72,14 +72,24 @@ def elements(centre, heading, rows, cols, spacing_m):
 # The surface
 
 
-def effective(amplitude, direct, incident, reflected, phases):
+def coefficient(radio, phase):
+    """An entry of Θ, for the phase that an element is set to (arXiv 1907.06002 for the modulus)."""
+    made = radio.surface
+    if made.phase_bits:
+        count, turned = 2**made.phase_bits, cmath.phase(cmath.exp(1j * phase))
+        phase = min((2 * math.pi / count * i for i in range(-count, count)), key=lambda at: abs(at - turned))
+    dip = ((math.sin(phase - math.radians(made.amplitude_offset_deg)) + 1) / 2) ** made.amplitude_steepness
+    modulus = radio.element_amplitude * ((1 - made.least_amplitude) * dip + made.least_amplitude)
+    return modulus * cmath.exp(1j * phase)
+
+
+def effective(radio, direct, incident, reflected, phases):
     """H = h_d + h_r Θ G, the factor in eq. (yt)."""
-    channel = []
+    channel, through = [], [coefficient(radio, phase) for phase in phases]
     for own, onward in zip(direct, reflected, strict=True):
         row = []
         for m, path in enumerate(own):
-            through = [onward[n] * amplitude * cmath.exp(1j * phases[n]) * incident[n][m] for n in range(len(phases))]
-            row.append(path + sum(through))
+            row.append(path + sum(onward[n] * through[n] * incident[n][m] for n in range(len(phases))))
         channel.append(row)
     return channel
 
@@ -254,18 +264,18 @@ def aligned(incident, reflected, beams, toward, phases):
     return turned
 
 
-def aligned_phases(amplitude, direct, incident, reflected, weights, iterations):
+def aligned_phases(radio, direct, incident, reflected, weights, iterations):
     """`closed_forms.aligned_phases`."""
     phases = [0.0] * len(incident)
     channel = direct
     for _ in range(iterations + 1):
         beams = [[value.conjugate() for value in row] for row in channel]
         phases = aligned(incident, reflected, beams, weights, phases)
-        channel = effective(amplitude, direct, incident, reflected, phases)
+        channel = effective(radio, direct, incident, reflected, phases)
     return phases
 
 
-def qos_aligned_phases(system, amplitude, direct, incident, reflected, weights, order=None, iterations=7):
+def qos_aligned_phases(system, radio, direct, incident, reflected, weights, order=None, iterations=7):
     """`closed_forms.qos_aligned_phases`."""
     clusters, users = [list(map(int, each)) for each in system.clusters], range(len(direct))
     best, kept = -math.inf, [0.0] * len(incident)
@@ -279,7 +289,7 @@ def qos_aligned_phases(system, amplitude, direct, incident, reflected, weights, 
         phases = aligned(incident, reflected, beams, toward, [0.0] * len(incident))
         raised = list(weights)
         for iteration in range(iterations):
-            channel = effective(amplitude, direct, incident, reflected, phases)
+            channel = effective(radio, direct, incident, reflected, phases)
             powers, found = qos_or_sum(system, channel, [system.qos_bps] * len(direct), order)
             score = sum(found) + (1e12 if min(found) >= system.qos_bps else 0)
             if score > best:
@@ -313,16 +323,26 @@ def beams_of_users(system, channel, clusters, powers):
 # What a place is worth
 
 
+def mean_element(radio):
+    """What elements do toward the phases that are wanted of them, and their power, over 720 of these."""
+    wanted = [2 * math.pi * (i + 0.5) / 720 for i in range(720)]
+    sent = [coefficient(radio, phase) for phase in wanted]
+    toward = [(value * cmath.exp(-1j * phase)).real for value, phase in zip(sent, wanted, strict=True)]
+    alive, noise = 1 - radio.surface.dead_share, math.radians(radio.surface.phase_noise_deg)
+    coherent = alive * math.exp(-(noise**2) / 2) * sum(toward) / len(toward)
+    return coherent, alive * sum(abs(value) ** 2 for value in sent) / len(sent)
+
+
 def predicted_rates(system, radio, direct, panels):
     """Rates from mean power gains: `direct` ones, and for every panel its elements, the AP's link and the users'."""
     clusters, users = [list(map(int, each)) for each in system.clusters], range(len(direct))
-    over_noise = []
+    over_noise, (coherent, mean_power) = [], mean_element(radio)
     for k in users:
         amplitude, power = math.sqrt(direct[k]), 0.0
         for count, incident, reflected in panels:
-            one = radio.element_amplitude * math.sqrt(incident * reflected[k])
-            amplitude += count / len(clusters) * one
-            power += (count - count / len(clusters)) * one**2
+            gain, in_phase = incident * reflected[k], count / len(clusters)
+            amplitude += in_phase * coherent * math.sqrt(gain)
+            power += (count * mean_power - in_phase * coherent**2) * gain
         over_noise.append((amplitude**2 + power) / radio.noise_w)
     beam_gain, size = radio.num_antennas - len(clusters) + 1, len(clusters[0])
     if system.oma:

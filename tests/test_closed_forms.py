@@ -7,9 +7,10 @@ from cases import aligned_phases, effective_channel, qos_aligned_phases, random_
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mjris.config import Radio
 from mjris.radio.links import Channels
 from mjris.radio.powers import qos_or_sum
-from mjris.radio.surface import Surface, cascade
+from mjris.radio.surface import cascade
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)
@@ -43,7 +44,7 @@ def test_alignment_never_loses_gain(seed):
 
 def test_alignment_converges_to_a_stationary_point():
     channels = random_channels(np.random.default_rng(0), batch=())
-    phases, paths = aligned_phases(channels, iterations=2000), cascade(Surface(1.0), channels)
+    phases, paths = aligned_phases(channels, iterations=2000), cascade(channels)
     # d/dθ_n of Σ ‖h‖², with dh/dθ_n = j e^{jθ_n} times the path over the element
     moved = 1j * np.exp(1j * phases)[:, None, None] * paths
     gradient = 2 * (effective_channel(channels, phases).conj() * moved).sum((1, 2)).real
@@ -71,7 +72,7 @@ def test_aligned_phases_are_the_literal_ones(scheme, qos, seed):
     found = qos_aligned_phases(served, channels, weights, iterations=4)
     for cell in range(5):
         direct, incident, reflected = (link[cell] for link in channels)
-        expected = literal.qos_aligned_phases(served, 1.0, direct, incident, reflected, weights[cell], iterations=4)
+        expected = literal.qos_aligned_phases(served, Radio(), direct, incident, reflected, weights[cell], iterations=4)
         np.testing.assert_allclose(np.exp(1j * found[cell]), np.exp(1j * np.array(expected)), atol=1e-6)
 
 

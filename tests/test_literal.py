@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mjris.config import Config, preset
+from mjris.config import Config, Hardware, preset
 from mjris.radio.closed_forms import aligned_phases, qos_aligned_phases
 from mjris.radio.links import Channels
 from mjris.radio.surface import Surface
@@ -38,6 +38,14 @@ def plan(tmp_path_factory):
     return str(path)
 
 
+surfaces = st.builds(
+    Hardware,
+    phase_bits=st.sampled_from([None, None, 1, 2, 3]),
+    least_amplitude=st.sampled_from([1.0, 1.0, 0.2]),
+    dead_share=st.sampled_from([0.0, 0.3]),
+)
+
+
 @st.composite
 def configs(draw) -> Config:
     """Everything that an equation depends on, at random; the layout stands for one that is filled in."""
@@ -53,6 +61,7 @@ def configs(draw) -> Config:
         panel_cols=draw(st.integers(1, 3)),
         element_pattern=draw(st.sampled_from(["isotropic", "cosine"])),
         element_amplitude=draw(st.sampled_from([1.0, 0.8])),
+        surface=draw(surfaces),
         scheme=draw(st.sampled_from(["noma", "oma"])),
         oma_selection=draw(st.booleans()),
         decoding_order=draw(st.sampled_from(["dynamic", "static"])),
@@ -82,7 +91,7 @@ def test_a_slot_is_that_of_the_literal_equations(plan, config):
             for found, wanted in zip(scene.channels, channels, strict=True):
                 scale = abs(np.array(wanted)).max()
                 np.testing.assert_allclose(found[e], wanted, rtol=1e-9, atol=1e-9 * scale)
-            channel = literal.effective(config.radio.element_amplitude, *channels, phases[e])
+            channel = literal.effective(config.radio, *channels, phases[e])
             given = order[e].tolist() if order[e, 0, 0] >= 0 else None
             expected.append(literal.rates_of(simulator.system, channel, powers[e], given))
             assert_closed_forms(simulator, channels, channel, given)
@@ -128,6 +137,8 @@ def channels_of(simulator: Simulator, e: int, diffuse) -> tuple[list, list, list
         ]
         for k in range(users)
     ]
+    for n in np.flatnonzero(simulator.dead[e]):
+        incident[n] = [0j] * radio.num_antennas
     return direct, incident, reflected
 
 
@@ -143,9 +154,9 @@ def assert_closed_forms(simulator: Simulator, channels: tuple[list, list, list],
     made = Channels(*(np.array([link]) for link in channels))
     surface, weights = Surface.of(radio), np.linspace(0.5, 2.0, len(channel))
     found = aligned_phases(surface, made, weights, iterations=2)[0]
-    assert_equal_phases(found, literal.aligned_phases(radio.element_amplitude, *channels, weights, 2))
+    assert_equal_phases(found, literal.aligned_phases(radio, *channels, weights, 2))
     found = qos_aligned_phases(system, surface, made, weights[None], given_order, iterations=5)[0]
-    expected = literal.qos_aligned_phases(system, radio.element_amplitude, *channels, weights, order, 5)
+    expected = literal.qos_aligned_phases(system, radio, *channels, weights, order, 5)
     assert_equal_phases(found, expected)
 
 

@@ -15,7 +15,7 @@ from mjris.eval.bound import upper_bound
 from mjris.eval.floormap import floor_map
 from mjris.eval.optimum import best_known
 from mjris.planning.prediction import Arrays, beside_rover
-from mjris.radio.surface import Surface
+from mjris.radio.surface import Mean
 from mjris.show.rollout import record
 from mjris.show.video import snapshot
 from mjris.simulation.outlook import bare_values, place_values
@@ -158,15 +158,15 @@ def test_paths_beside_the_rover_are_summed_by_hand(simulator):
     rng = np.random.default_rng(4)
     direct, incident, reflected = 10 ** rng.uniform(-9, -6, (2, 4)), rng.random((2, 3)), rng.random((2, 3, 4))
     found = beside_rover(
-        simulator.system, Arrays(4, 16, Surface(0.7)), direct, incident, reflected, np.array([6, 10, 1])
+        simulator.system, Arrays(4, 16, Mean(0.7, 0.5)), direct, incident, reflected, np.array([6, 10, 1])
     )
     for e in range(2):
         for k in range(4):
             amplitude, power = math.sqrt(direct[e, k]), 0.0
             for s, count in enumerate((6, 10, 1)):
-                one = 0.7 * math.sqrt(incident[e, s] * reflected[e, s, k])
-                amplitude += count / 2 * one
-                power += (count - count / 2) * one**2
+                gain = incident[e, s] * reflected[e, s, k]
+                amplitude += count / 2 * 0.7 * math.sqrt(gain)
+                power += (count * 0.5 - count / 2 * 0.49) * gain
             assert found.coherent[e, k] == pytest.approx(amplitude, rel=1e-12)
             assert found.scattered[e, k] == pytest.approx(power, rel=1e-12)
 

@@ -1,11 +1,16 @@
 """What the surface makes of what reaches it."""
 
+import literal
 import numpy as np
 import pytest
 from cases import aligned_phases, effective_channel, random_channels
+from hypothesis import given
+from hypothesis import strategies as st
 
+from mjris.config import Hardware, Radio
+from mjris.radio import surface as surface_module
 from mjris.radio.links import Channels
-from mjris.radio.surface import Surface, cascade, coefficient
+from mjris.radio.surface import Surface, cascade, coefficient, mean_coefficient
 
 
 def test_effective_channel_equals_the_matrix_product():
@@ -30,9 +35,9 @@ def test_leading_axes_are_those_of_the_channels():
 def test_cascade_adds_up_to_the_effective_channel():
     rng = np.random.default_rng(2)
     channels, phases = random_channels(rng, antennas=3, elements=5), rng.uniform(0, 6, (3, 5))
-    paths = cascade(Surface(0.7), channels)
+    paths = cascade(channels)
     assert paths.shape == (3, 5, 4, 3)
-    total = channels.direct + (np.exp(1j * phases)[..., None, None] * paths).sum(axis=1)
+    total = channels.direct + (0.7 * np.exp(1j * phases)[..., None, None] * paths).sum(axis=1)
     np.testing.assert_allclose(effective_channel(channels, phases, 0.7), total, rtol=1e-12)
 
 
@@ -50,14 +55,60 @@ def test_an_aligned_panel_gains_the_square_of_its_elements(elements):
     assert abs(effective[0, 0]) ** 2 == pytest.approx(elements**2, rel=1e-12)
 
 
-@pytest.mark.parametrize(("bits", "loss_db"), [(1, -3.92), (2, -0.91)])
-def test_quantised_phases_lose_the_known_gain(bits, loss_db):
+@pytest.mark.parametrize(("bits", "loss_db"), [(1, -3.92), (2, -0.91), (3, -0.22)])
+def test_elements_of_few_bits_lose_the_known_gain(bits, loss_db):
     rng = np.random.default_rng(4)
     channels = Channels(
         np.zeros((1, 1), dtype=complex),
         np.exp(1j * rng.uniform(0, 2 * np.pi, (20_000, 1))),
         np.exp(1j * rng.uniform(0, 2 * np.pi, (1, 20_000))),
     )
-    step = 2 * np.pi / 2**bits
-    gain = abs(effective_channel(channels, np.round(aligned_phases(channels) / step) * step)[0, 0]) ** 2
+    surface = Surface.of(Radio(surface=Hardware(phase_bits=bits)))
+    gain = abs(surface_module.effective_channel(surface, channels, aligned_phases(channels))[0, 0]) ** 2
     assert 10 * np.log10(gain / 20_000**2) == pytest.approx(loss_db, abs=0.05)
+
+
+HARDWARE = st.builds(
+    Hardware,
+    phase_bits=st.none() | st.integers(1, 8),
+    least_amplitude=st.floats(0, 1),
+    amplitude_steepness=st.floats(0, 5),
+    amplitude_offset_deg=st.floats(-180, 180),
+    phase_noise_deg=st.floats(0, 180),
+    dead_share=st.floats(0, 1),
+)
+
+
+@given(HARDWARE, st.floats(-50, 50))
+def test_coefficients_are_the_literal_ones(hardware, phase):
+    radio = Radio(element_amplitude=0.8, surface=hardware)
+    found, expected = (
+        coefficient(Surface.of(radio), complex(np.exp(1j * phase))),
+        literal.coefficient(radio, phase),
+    )
+    step = 2 * np.pi / 2 ** (hardware.phase_bits or 50)
+    halfway = abs((phase / step) % 1 - 0.5) * step
+    # Between two phases that are as near, rounding may choose; what it chooses is as far from the wanted one.
+    if hardware.phase_bits is None or halfway > 1e-9:
+        assert found == pytest.approx(expected, abs=1e-9)
+    assert abs(found) <= 0.8 * (1 + 1e-12)
+    assert abs(found) >= 0.8 * hardware.least_amplitude * (1 - 1e-12)
+
+
+@given(HARDWARE)
+def test_on_average_elements_do_what_many_of_them_do(hardware):
+    """Against elements with random wanted phases, with noise and dead ones."""
+    radio, rng = Radio(surface=hardware), np.random.default_rng(0)
+    wanted = rng.uniform(-np.pi, np.pi, 4000)
+    sent = np.array([coefficient(Surface.of(radio), turn) for turn in np.exp(1j * wanted)])
+    sent *= np.exp(1j * np.radians(hardware.phase_noise_deg) * rng.standard_normal(4000))
+    sent *= rng.random(4000) >= hardware.dead_share
+    mean = mean_coefficient(radio)
+    assert (sent * np.exp(-1j * wanted)).mean() == pytest.approx(mean.coherent, abs=0.06)
+    assert (abs(sent) ** 2).mean() == pytest.approx(mean.power, abs=0.06)
+
+
+def test_ideal_elements_are_what_they_were():
+    surface = Surface.of(Radio())
+    assert (surface.amplitude, surface.step_rad, surface.least) == (1.0, 0.0, 1.0)
+    assert mean_coefficient(Radio(element_amplitude=0.7)) == pytest.approx((0.7, 0.49))

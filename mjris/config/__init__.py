@@ -7,7 +7,7 @@ from mjris.config.errors import ConfigError, validated
 from mjris.config.files import from_dict, load
 from mjris.config.link_tables import LINK_TABLES
 from mjris.config.presets import preset
-from mjris.config.schema import Agent, Config, Federation, Positive, Radio, Task, World, dbm_to_w, w_to_dbm
+from mjris.config.schema import Agent, Config, Federation, Hardware, Positive, Radio, Task, World, dbm_to_w, w_to_dbm
 
 __all__ = [
     "LINK_TABLES",
@@ -15,6 +15,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "Federation",
+    "Hardware",
     "Positive",
     "Radio",
     "Task",

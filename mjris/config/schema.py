@@ -90,6 +90,25 @@ class World:
 
 @plain_errors
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
+class Hardware:
+    """What keeps the panels' elements from being ideal; by default nothing."""
+
+    phase_bits: Annotated[int, Field(ge=1, le=8)] | None = None
+    """b: elements take the nearest of 2^b phases, 0 among them; any by default."""
+    least_amplitude: Fraction = 1.0
+    """Least modulus of a reflection coefficient over the phase, as a share of the largest; measured was 0.2."""
+    amplitude_steepness: NonNegative = 1.6
+    """How narrow the dip around that phase is."""
+    amplitude_offset_deg: float = 77.4
+    """The dip lies 90° before this phase [°]; 77.4 is 0.43 π."""
+    phase_noise_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
+    """Standard deviation of what elements miss their phases by, anew whenever they are set [°]."""
+    dead_share: Fraction = 0.0
+    """Share of the elements that reflect nothing, which are others in every cell and stay so."""
+
+
+@plain_errors
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Radio:
     """Links, arrays and multiple access."""
 
@@ -114,7 +133,9 @@ class Radio:
     element_exponent: NonNegative = 0.57
     """n of the cosine pattern; 0.57 gives 4.97 dBi at boresight."""
     element_amplitude: Fraction = 1.0
-    """β, the modulus of every element's reflection coefficient."""
+    """β, the largest modulus of an element's reflection coefficient."""
+    surface: Hardware = Hardware()
+    """What the elements are like beyond that."""
     rician_k_db: Annotated[float, Field(ge=-30, le=60)] = 7.0
     """Rician K-factor of links in line of sight [dB]; blocked links are Rayleigh."""
     fading_memory: Fraction = 0.0

@@ -41,7 +41,7 @@ def upper_bound(channels: Channels, clusters: IntArray, radio: Radio) -> FloatAr
     oma = radio.scheme == "oma" and not radio.oma_selection
     chosen = clusters.reshape(1, -1) if oma else np.stack(np.meshgrid(*clusters), -1).reshape(-1, num_clusters)
     snr = radio.tx_power_w / (num_clusters * radio.noise_w)
-    surface = Surface.of(radio)
+    surface = Surface.of(radio).ideal  # as no surface gives more
     alone = _of_users(channels, np.arange(clusters.size)[:, None])
     everybody = np.ones(alone.direct.shape[:-1])
     # The first tangent touches at what each user could have for itself, so that the bound is not above their sum.
@@ -76,7 +76,7 @@ def _most_gain(surface: Surface, channels: Channels, weights: FloatArray, phases
     the best phases Aᴴ A ψ = D ψ for some D, which is what is taken; if the eigenvalue is one, nothing is lost. By the
     triangle inequality the sum is at most Σ_ij |Aᴴ A|_ij, too.
     """
-    paths = np.concatenate([channels.direct[..., None, :, :], cascade(surface, channels)], -3)
+    paths = np.concatenate([channels.direct[..., None, :, :], surface.amplitude * cascade(channels)], -3)
     paths = np.sqrt(weights)[..., None, :, None] * paths
     # Rows for users and antennas, columns for the direct path and the elements.
     rows = np.moveaxis(paths, -3, -1)

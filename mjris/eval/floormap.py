@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config, ConfigError, Radio
 from mjris.radio import propagation
-from mjris.radio.surface import element_amplitudes
+from mjris.radio.surface import mean_coefficient
 from mjris.simulation.outlook import bare_values, place_values
 from mjris.simulation.simulator import Simulator
 from mjris.world.footprints import Footprints, footprints
@@ -155,7 +155,7 @@ def _one_element(simulator: Simulator, receivers: FloatArray, panel: FloatArray,
     ahead = (ends - panel) @ np.array([np.cos(heading), np.sin(heading), 0.0])
     cosine = ahead / np.maximum(np.linalg.norm(ends - panel, axis=-1), 1e-12)
     gain = propagation.db_to_linear(-loss_db) * propagation.element_gain(radio, cosine)
-    return element_amplitudes(simulator.surface, gain[-1], gain[:-1]).reshape(receivers.shape[:-1])
+    return mean_coefficient(radio).coherent * np.sqrt(gain[-1] * gain[:-1]).reshape(receivers.shape[:-1])
 
 
 def _place_values(simulator: Simulator, places: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from mjris.config import Radio
 from mjris.radio.beams import REGULAR, SINGULAR
+from mjris.radio.surface import Surface
 
 
 class Problem(NamedTuple):
@@ -38,6 +39,15 @@ class Problem(NamedTuple):
     def least_sinr(self) -> float:
         """SINR that QoS takes in the whole band; a hair more, so that rounding never leaves a rate below it."""
         return math.expm1(math.log(2) * self.qos_bps / self.radio.bandwidth_hz) * (1 + 1e-9)
+
+
+def coefficients(surface: Surface, phases: Tensor) -> Tensor:
+    """`surface.coefficient` [...] of elements that take any phase [...] [rad]; between few there is no gradient."""
+    turns = surface.amplitude * torch.exp(1j * phases)
+    if surface.least == 1:
+        return turns
+    dip = torch.clamp((torch.sin(phases - surface.offset_rad) + 1) / 2, min=1e-12) ** surface.steepness
+    return ((1 - surface.least) * dip + surface.least) * turns
 
 
 def merit(problem: Problem, channel: Tensor, budgets: Tensor) -> tuple[Tensor, Tensor]:

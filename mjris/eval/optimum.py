@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mjris.config import Radio
-from mjris.eval.gradients import Problem, arranged, merit
+from mjris.eval.gradients import Problem, arranged, coefficients, merit
 from mjris.eval.powers import best_budgets, best_powers, given_orders, scored
 from mjris.radio import serving
 from mjris.radio.closed_forms import aligned_phases
@@ -34,6 +34,8 @@ _BARRIER, _LAST_BARRIER = 1e-2, 1e-4
 """What keeps the ascent from cliffs, and in the last steps [bit/s/Hz]."""
 _CLIMB_MARGIN = 1e-4
 """The ascent aims this much above QoS, relatively, so that it ends inside where QoS bounds it."""
+_SWEEPS = 2
+"""How often every element is asked again which of few phases is the best."""
 _MOST_CHOICES = 16
 """Choices of one user from each cluster that are tried as starts."""
 
@@ -56,7 +58,8 @@ class _Paths(NamedTuple):
     direct: Tensor
     """[B, 1, K M]"""
     cascade: Tensor
-    """[B, N, K M]"""
+    """Before the elements' coefficients [B, N, K M]."""
+    surface: Surface
     shape: tuple[int, int]
     """K, M"""
 
@@ -65,13 +68,14 @@ class _Paths(NamedTuple):
         """The paths of channels whose only leading axis is that of the slots."""
         return _Paths(
             torch.as_tensor(channels.direct).flatten(-2)[:, None],
-            torch.as_tensor(cascade(surface, channels)).flatten(-2),
+            torch.as_tensor(cascade(channels)).flatten(-2),
+            surface,
             (channels.direct.shape[-2], channels.direct.shape[-1]),
         )
 
     def effective(self, phases: Tensor) -> Tensor:
-        """Effective channels [B, S, K, M], with one product for all starts of a slot."""
-        return (self.direct + torch.exp(1j * phases) @ self.cascade).unflatten(-1, self.shape)
+        """Effective channels [B, S, K, M] if elements take any phase, with one product for all starts of a slot."""
+        return (self.direct + coefficients(self.surface, phases) @ self.cascade).unflatten(-1, self.shape)
 
 
 def best_known(
@@ -96,7 +100,8 @@ def best_known(
 
     The search starts from phases aligned to each user, to all users, and for and against one user of each cluster, and
     from `random_starts` random ones. All climb `screening_steps`, the best `finalists` another `final_steps`, and the
-    best of these half of that, by quasi-Newton ascent on the phases with QoS-first powers.
+    best of these half of that, by quasi-Newton ascent on the phases with QoS-first powers. Elements that can take few
+    phases only take the nearest ones then, and after that, each in turn, the best one.
     """
     batch = channels.direct.shape[:-2]
     surface, links = Surface.of(radio), flattened(channels)
@@ -119,13 +124,16 @@ def best_known(
             tried = _climb(problem, paths, tried, budgets, steps, barrier)
             tried = _leaders(tried, scored(*merit(problem, paths.effective(tried), budgets)), kept)
             budgets, score = best_budgets(problem, paths.effective(tried))
+        if surface.step_rad > 0:
+            tried = _taken(problem, paths, tried[:, 0], budgets)[:, None]
+            budgets, score = best_budgets(problem, paths.effective(tried))
         phases[slots] = tried[:, 0]
         return score[:, 0] >= 0
 
     flat = given_orders(order, clusters)
     problem = Problem(torch.as_tensor(clusters), radio, qos_bps, flat)
     met = torch.zeros(len(phases), dtype=torch.bool)
-    possible = torch.as_tensor(_may_meet_qos(problem, surface, links))
+    possible = torch.as_tensor(_may_meet_qos(problem, surface.amplitude, links))
     for slots in filter(len, torch.nonzero(possible)[:, 0].split(_SLOTS)):
         met[slots] = search(problem, slots)
     # Where QoS is out of reach for somebody, the sum rate alone decides.
@@ -138,10 +146,10 @@ def best_known(
     return Optimum(*(values.reshape(*batch, -1) for values in (phases.numpy(), powers, rates)))
 
 
-def _may_meet_qos(problem: Problem, surface: Surface, links: Channels) -> NDArray[np.bool_]:
+def _may_meet_qos(problem: Problem, amplitude: float, links: Channels) -> NDArray[np.bool_]:
     """Whether every user has QoS [B] where it alone has all of the cluster's power and all paths add up in phase."""
     radio = problem.radio
-    paths = abs(cascade(surface, links)).sum(-3)
+    paths = amplitude * abs(cascade(links)).sum(-3)
     most = ((abs(links.direct) + paths) ** 2).sum(-1)
     snr = radio.tx_power_w / (len(problem.clusters) * radio.noise_w) * most
     bands = problem.clusters.shape[1] if radio.scheme == "oma" else 1
@@ -210,6 +218,22 @@ def _climb(problem: Problem, paths: _Paths, phases: Tensor, budgets: Tensor, ste
         gradient = torch.where(taken, new_gradient, gradient)
         direction = _quasi_newton(gradient, scale, memory)
         length = torch.where(taken, 1.0, 0.25 * length)
+    return phases
+
+
+def _taken(problem: Problem, paths: _Paths, phases: Tensor, budgets: Tensor) -> Tensor:
+    """The phases that elements can take nearest to `phases` [B, N], and after that each in turn the best of them."""
+    step = paths.surface.step_rad
+    levels = step * torch.arange(round(2 * math.pi / step), dtype=torch.float64)
+    choices = coefficients(paths.surface, levels)[None, :, None]
+    phases = step * torch.floor(phases / step + 0.5)
+    channel = paths.effective(phases[:, None])[:, 0].flatten(-2)
+    for n in [*range(phases.shape[1])] * _SWEEPS:
+        path = paths.cascade[:, n]
+        without = channel - coefficients(paths.surface, phases[:, n, None]) * path
+        tried = without[:, None] + choices * path[:, None]
+        best = scored(*merit(problem, tried.unflatten(-1, paths.shape), budgets)).argmax(1)
+        channel, phases[:, n] = tried[torch.arange(len(tried)), best], levels[best]
     return phases
 
 

@@ -1,16 +1,17 @@
 """What the rover's panel would give at places, from geometry alone: mean amplitudes, no fading, no interference."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Radio
-from mjris.jit.compiled import compiled
+from mjris.jit.compiled import compiled, inlined
 from mjris.radio.decoding import ascending
 from mjris.radio.equations import cancelled_sinr, needed_share, qos_power_w, rate_bps
 from mjris.radio.serving import System
-from mjris.radio.surface import Surface, element_amplitude
+from mjris.radio.surface import Mean, mean_coefficient
 
 FloatArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
@@ -21,12 +22,13 @@ class Arrays(NamedTuple):
 
     antennas: int
     elements: int
-    surface: Surface
+    element: Mean
+    """What elements do on average."""
 
     @classmethod
     def of(cls, radio: Radio) -> "Arrays":
         """With the numbers of a config."""
-        return cls(radio.num_antennas, radio.num_elements, Surface.of(radio))
+        return cls(radio.num_antennas, radio.num_elements, mean_coefficient(radio))
 
 
 def predicted_rates(
@@ -97,9 +99,10 @@ def beside_rover(
         for s in range(len(elements)):
             in_phase = elements[s] / len(system.clusters)
             for k in range(direct.shape[1]):
-                one_element = element_amplitude(arrays.surface, incident[e, s], reflected[e, s, k])
-                beside.coherent[e, k] += in_phase * one_element
-                beside.scattered[e, k] += (elements[s] - in_phase) * one_element**2
+                gain = incident[e, s] * reflected[e, s, k]
+                amplitude, power = _over_panel(arrays.element, elements[s], in_phase, gain)
+                beside.coherent[e, k] += amplitude
+                beside.scattered[e, k] += power
     return beside
 
 
@@ -120,9 +123,19 @@ def with_panel(
     for k in range(len(coherent)):
         alone, diffuse, gains = coherent[k], scattered[k], reflected[k]
         for p in range(len(gains)):
-            one_element = element_amplitude(arrays.surface, incident[p], gains[p])
-            amplitude, power = alone + in_phase * one_element, (arrays.elements - in_phase) * one_element**2
+            amplitude, power = _over_panel(arrays.element, arrays.elements, in_phase, incident[p] * gains[p])
+            amplitude += alone
             gains[p] = (amplitude * amplitude + power + diffuse) / system.noise_w
+
+
+@inlined
+def _over_panel(element: Mean, elements: float, in_phase: float, gain: float) -> tuple[float, float]:
+    """Amplitude of what adds up in phase over a panel, and power of the rest, for the `gain` over one of its elements.
+
+    Those that are to be in phase are so on average; what they miss adds up at random, as all of the others do.
+    """
+    squared = element.coherent * element.coherent
+    return in_phase * element.coherent * math.sqrt(gain), (elements * element.power - in_phase * squared) * gain
 
 
 @compiled

@@ -18,33 +18,74 @@ class Surface(NamedTuple):
     """What the elements of all panels of a cell are like."""
 
     amplitude: float
-    """β, the modulus of a reflection coefficient."""
+    """β, the largest modulus of a reflection coefficient."""
+    step_rad: float = 0.0
+    """Between the phases that elements can take; zero for any."""
+    least: float = 1.0
+    """Least modulus over the phase, as a share of the largest one."""
+    steepness: float = 0.0
+    offset_rad: float = 0.0
 
     @classmethod
     def of(cls, radio: Radio) -> "Surface":
         """With the numbers of a config."""
-        return cls(radio.element_amplitude)
+        made, bits = radio.surface, radio.surface.phase_bits
+        step_rad = 2 * math.pi / 2**bits if bits else 0.0
+        offset_rad = math.radians(made.amplitude_offset_deg)
+        return cls(radio.element_amplitude, step_rad, made.least_amplitude, made.amplitude_steepness, offset_rad)
+
+    @property
+    def ideal(self) -> "Surface":
+        """A surface that can do whatever this one can, and reflects all of it at any phase."""
+        return Surface(self.amplitude)
+
+
+@inlined
+def is_ideal(surface: Surface) -> bool:
+    """Whether elements take any phase, at one amplitude."""
+    return surface.step_rad == 0 and surface.least == 1
 
 
 @inlined
 def coefficient(surface: Surface, turn: complex) -> complex:
-    """Reflection coefficient β e^{jθ} of an element that is set to e^{jθ}, an entry of Θ."""
-    return surface.amplitude * turn
+    """Reflection coefficient of an element that is set to e^{jθ}, an entry of Θ.
+
+    β e^{jθ} if ideal. Else θ goes to the nearest phase that there is, and its modulus follows from that, with a share m
+    of β where least is left: β ((1 - m) ((sin(θ - φ) + 1)/2)^k + m) e^{jθ} (arXiv 1907.06002).
+    """
+    if is_ideal(surface):
+        return surface.amplitude * turn
+    phase = math.atan2(turn.imag, turn.real)
+    if surface.step_rad > 0:
+        phase = surface.step_rad * math.floor(phase / surface.step_rad + 0.5)
+    dip = ((math.sin(phase - surface.offset_rad) + 1) / 2) ** surface.steepness
+    modulus = surface.amplitude * ((1 - surface.least) * dip + surface.least)
+    return complex(modulus * math.cos(phase), modulus * math.sin(phase))
 
 
-@inlined
-def element_amplitude(surface: Surface, incident: float, reflected: float) -> float:
-    """Mean amplitude of the path over one element, for the mean power gains of its two links."""
-    return surface.amplitude * math.sqrt(incident * reflected)
+class Mean(NamedTuple):
+    """What elements do on average over the phases that are wanted of them."""
+
+    coherent: float
+    """Amplitude toward the wanted phase."""
+    power: float
+    """Squared modulus."""
 
 
-@compiled
-def element_amplitudes(surface: Surface, incident: float, reflected: FloatArray) -> FloatArray:
-    """`element_amplitude` [n] for the links from one panel to n places."""
-    found = np.empty(len(reflected))
-    for place in range(len(found)):
-        found[place] = element_amplitude(surface, incident, reflected[place])
-    return found
+def mean_coefficient(radio: Radio, phases: int = 720) -> Mean:
+    """`Mean` of a config's elements, phase noise and dead ones included.
+
+    Noise of standard deviation σ leaves e^{-σ²/2} of what is coherent.
+    """
+    wanted = np.exp(2j * np.pi * (np.arange(phases) + 0.5) / phases)
+    surface, made = Surface.of(radio), radio.surface
+    if is_ideal(surface):
+        coherent, power = surface.amplitude, surface.amplitude**2
+    else:
+        sent = np.array([coefficient(surface, turn) for turn in wanted])
+        coherent, power = float(np.real(sent * wanted.conj()).mean()), float((abs(sent) ** 2).mean())
+    alive, steady = 1 - made.dead_share, math.exp(-(math.radians(made.phase_noise_deg) ** 2) / 2)
+    return Mean(coherent * alive * steady, power * alive)
 
 
 def effective_channel(surface: Surface, channels: Channels, phases_rad: FloatArray) -> ComplexArray:
@@ -56,10 +97,9 @@ def effective_channel(surface: Surface, channels: Channels, phases_rad: FloatArr
     return _effective_all(surface, *flattened(channels), phases_rad).reshape(channels.direct.shape)
 
 
-def cascade(surface: Surface, channels: Channels) -> ComplexArray:
-    """The path over every element at phase zero, h_r[k, n] φ_n G[n, m]: [..., N, K, M]."""
-    onward = coefficient(surface, 1 + 0j) * np.swapaxes(channels.reflected, -1, -2)
-    return onward[..., None] * channels.incident[..., None, :]
+def cascade(channels: Channels) -> ComplexArray:
+    """The path over every element before its coefficient, h_r[k, n] G[n, m]: [..., N, K, M]."""
+    return np.swapaxes(channels.reflected, -1, -2)[..., None] * channels.incident[..., None, :]
 
 
 def flattened(channels: Channels) -> Channels:
@@ -101,16 +141,27 @@ def _effective_all(
     return made
 
 
+@compiled
+def sent(surface: Surface, turns: FloatArray) -> FloatArray:
+    """The parts [2, N] of the coefficients of elements that are set to e^{jθ}, whose parts are `turns` [2, N]."""
+    if is_ideal(surface):
+        return surface.amplitude * turns
+    made = np.empty_like(turns)
+    for n in range(turns.shape[1]):
+        through = coefficient(surface, complex(turns[0, n], turns[1, n]))
+        made[0, n], made[1, n] = through.real, through.imag
+    return made
+
+
 @reducing
 def effective(surface: Surface, direct: ComplexArray, over: Parts, turns: FloatArray) -> ComplexArray:
     """`effective_channel` [K, M] of one cell, with elements set to e^{jθ}, whose parts are `turns` [2, N]."""
-    channel, onward = direct.copy(), np.empty_like(turns)
+    channel, onward, through = direct.copy(), np.empty_like(turns), sent(surface, turns)
     for k in range(channel.shape[0]):
         real, imag = over.reflected[0, k], over.reflected[1, k]
         for n in range(turns.shape[1]):
-            through = coefficient(surface, complex(turns[0, n], turns[1, n]))
-            onward[0, n] = real[n] * through.real - imag[n] * through.imag
-            onward[1, n] = real[n] * through.imag + imag[n] * through.real
+            onward[0, n] = real[n] * through[0, n] - imag[n] * through[1, n]
+            onward[1, n] = real[n] * through[1, n] + imag[n] * through[0, n]
         for m in range(channel.shape[1]):
             real, imag = over.incident[0, m], over.incident[1, m]
             total_real, total_imag = 0.0, 0.0

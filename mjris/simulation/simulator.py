@@ -72,6 +72,8 @@ class Simulator:
         """Sizes of the rooms [E, 2] [m]."""
         axes = np.stack([self.world.office(e).ap_axis for e in range(num_cells)])
         self._antennas = links.uniform_linear_array(self.ap_position, axes, m, self._spacing_m)
+        self.dead = self._streams.dead(n, radio.surface.dead_share)
+        """Which elements reflect nothing [E, N]."""
         self._diffuse = np.zeros((num_cells, k * m + n * m + k * n), np.complex128)
         """Of h_d, G and h_r, [E, K M + N M + K N]."""
         self.order = self.system.no_order(num_cells)
@@ -193,9 +195,12 @@ class Simulator:
 
     def _effective(self, phases_rad: FloatArray, scene: Scene) -> tuple[ComplexArray, ComplexArray]:
         """The effective channels [E, K, M], and what is known of them."""
-        effective = self.effective_channel(phases_rad, scene.channels)
-        same = scene.known is scene.channels
-        return effective, effective if same else self.effective_channel(phases_rad, scene.known)
+        known, truth = self.effective_channel(phases_rad, scene.known), scene.channels
+        missed_deg = self.config.radio.surface.phase_noise_deg
+        if missed_deg > 0:
+            missed = self._streams.phase_noise(self.num_elements, math.radians(missed_deg))
+            truth = truth._replace(incident=np.exp(1j * missed)[..., None] * truth.incident)
+        return known if truth is scene.known else self.effective_channel(phases_rad, truth), known
 
     def effective_channel(self, phases_rad: FloatArray, channels: links.Channels | None = None) -> ComplexArray:
         """H [E, K, M] for phases [E, N] [rad], without the RIS where the task has none; by default what is known."""
@@ -279,6 +284,8 @@ class Simulator:
         mean = links.means(self.link_table, self.links.panel, start, end, blockers, headings)
         elements = links.panel_elements(panels, headings, world.panel_sizes, self._spacing_m)
         made = links.channels(self.links, self._antennas, receivers, elements, mean, diffuse, radio.wavelength_m)
+        if radio.surface.dead_share > 0:
+            made.incident[self.dead] = 0  # so that nobody knows of a path over them either
         return Scene(
             rover_xy=panels[:, 0, :2],
             rover_heading=world.fleet.heading,

@@ -42,6 +42,10 @@ class Purpose(IntEnum):
     """Intervals by resampling."""
     STUDY = 10
     """Whatever a script draws by itself."""
+    DEAD = 11
+    """Which elements of a cell reflect nothing."""
+    PHASE_NOISE = 12
+    """What a cell's elements miss their phases by."""
 
 
 def sequence(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:
@@ -95,6 +99,8 @@ class _OfCell(NamedTuple):
     """`Purpose.SHARED_FADING`, or a copy of it where cells are not at the same place of their episodes."""
     phases: np.random.Generator
     """`Purpose.PHASES`"""
+    phase_noise: np.random.Generator
+    """`Purpose.PHASE_NOISE`"""
 
 
 class Streams:
@@ -118,6 +124,7 @@ class Streams:
                 fading=generator(seed, Purpose.FADING, cell.number),
                 shared=shared[seed],
                 phases=generator(seed, Purpose.PHASES, cell.number),
+                phase_noise=generator(seed, Purpose.PHASE_NOISE, cell.number),
             )
             for seed, cell in zip(seeds, self._cells, strict=True)
         ]
@@ -134,6 +141,18 @@ class Streams:
     def phases(self, num_elements: int) -> FloatArray:
         """Uniform phases [E, N] [rad]."""
         return np.stack([stream.phases.uniform(-np.pi, np.pi, num_elements) for stream in self._streams])
+
+    def phase_noise(self, num_elements: int, deviation_rad: float) -> FloatArray:
+        """What elements miss their phases by, normally distributed [E, N] [rad]."""
+        return np.stack([stream.phase_noise.normal(0, deviation_rad, num_elements) for stream in self._streams])
+
+    def dead(self, num_elements: int, share: float) -> NDArray[np.bool_]:
+        """Which elements reflect nothing, always the same [E, N]; as many in every cell, to the nearest number."""
+        dead = np.zeros((len(self._cells), num_elements), np.bool_)
+        for own, cell in zip(dead, self._cells, strict=True):
+            order = generator(cell.seed, Purpose.DEAD, cell.number).permutation(num_elements)
+            own[order[: round(share * num_elements)]] = True
+        return dead
 
     def steps(self, num_users: int, scale_m: float) -> tuple[FloatArray, FloatArray]:
         """Everyone's step: Rayleigh distances [E, K] [m] and uniform directions [E, K] [rad]."""
