@@ -1,6 +1,7 @@
 """The upper bound: tight where a closed form is known, and above everything that can be reached."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,14 +9,17 @@ from cases import effective_channel
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from mjris.config import Radio
+from mjris.config import Hardware, Radio
 from mjris.eval.bound import upper_bound
 from mjris.eval.optimum import best_known
+from mjris.radio import surface
 from mjris.radio.access import noma_rates, oma_rates
+from mjris.radio.closed_forms import aligned_phases
 from mjris.radio.fading import complex_normal
 from mjris.radio.links import Channels
-from mjris.radio.powers import split_powers
+from mjris.radio.powers import qos_or_sum, split_powers
 from mjris.radio.serving import System
+from mjris.radio.surface import Surface
 
 SEEDS = st.integers(0, 2**32 - 1)
 SCHEMES = st.sampled_from(["noma", "oma"])
@@ -60,6 +64,19 @@ def test_nothing_random_exceeds_the_bound(seed, scheme, num_clusters, power_w, a
     shares = (shares / shares.max(-1, keepdims=True)).reshape(-1, 4)
     powers = split_powers(System.of(radio, clusters, 0.0), shares).reshape(50, 3, 4)
     assert np.all(sum_rates(channels, phases, powers, clusters, radio) <= bound)
+
+
+@given(SEEDS, SCHEMES, st.sampled_from([None, 1, 3]), st.floats(0, 1))
+def test_no_surface_exceeds_the_bound(seed, scheme, bits, least):
+    rng = np.random.default_rng(seed)
+    radio = unit_radio(10.0, scheme=scheme, num_clusters=2)
+    radio = replace(radio, surface=Hardware(phase_bits=bits, least_amplitude=least))
+    channels, clusters = random_channels(rng), rng.permutation(4).reshape(2, 2)
+    phases = np.concatenate([aligned_phases(Surface.of(radio), channels)[None], rng.uniform(-9, 9, (20, 3, 6))])
+    repeated = Channels(*(np.broadcast_to(link, (21, *link.shape)) for link in channels))
+    effective = surface.effective_channel(Surface.of(radio), repeated, phases)
+    system = System.of(radio, clusters, 0.0)
+    assert (qos_or_sum(system, effective)[1].sum(-1) <= upper_bound(channels, clusters, radio)).all()
 
 
 @given(SEEDS, SCHEMES, st.sampled_from([1, 2, 4]), st.floats(0.01, 1000))

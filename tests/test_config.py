@@ -130,3 +130,13 @@ def test_sections_made_by_hand_name_their_field():
 def test_rover_must_be_able_to_stop(values, field):
     with pytest.raises(ConfigError, match=rf"world\.{field}: .* the rover needs 0\.\d+ m to notice and stop"):
         World(**values)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("phase_bits", 0), ("phase_bits", 9), ("dead_share", 1.1), ("least_amplitude", -0.1), ("phase_noise_deg", 181.0)],
+)
+def test_a_surface_that_cannot_be_is_refused(field, value):
+    with pytest.raises(ConfigError, match=rf"radio\.surface\.{field}: {value} is not allowed") as error:
+        from_dict({"radio": {"surface": {field: value}}})
+    assert "\n" not in str(error.value)

@@ -8,9 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.config import Radio
+from mjris.eval import gradients
 from mjris.eval.gradients import Problem, effective_gains, merit, zero_forcing
 from mjris.radio import access, serving
 from mjris.radio.fading import complex_normal
+from mjris.radio.surface import Surface, coefficient
 
 BAND = 1e6
 SEEDS = st.integers(0, 2**32 - 1)
@@ -96,3 +98,12 @@ def test_gradient_matches_finite_differences_of_the_kernels(scheme):
         numeric[index] = (sum_rate(phases + step) - sum_rate(phases - step)) / 2e-6
     assert turned.grad is not None
     np.testing.assert_allclose(turned.grad.numpy(), numeric, rtol=1e-4, atol=1e-4 * abs(numeric).max())
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.floats(0.5, 4))
+def test_coefficients_are_those_of_the_kernel(seed, least, steepness):
+    phases = np.random.default_rng(seed).uniform(-9, 9, 20)
+    surface = Surface(0.8, 0.0, least, steepness, 1.2)
+    found = gradients.coefficients(surface, torch.as_tensor(phases)).numpy()
+    expected = [coefficient(surface, turn) for turn in np.exp(1j * phases)]
+    np.testing.assert_allclose(found, expected, atol=1e-9)

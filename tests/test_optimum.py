@@ -1,6 +1,7 @@
 """Reference optimum: against closed forms, exhaustive search and an independent optimiser."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pymanopt
@@ -12,16 +13,17 @@ from hypothesis import strategies as st
 from pymanopt.manifolds import ComplexCircle
 from pymanopt.optimizers import ConjugateGradient
 
-from mjris.config import Radio
+from mjris.config import Hardware, Radio
 from mjris.eval.bound import upper_bound
 from mjris.eval.gradients import Problem, merit
 from mjris.eval.optimum import best_known
 from mjris.eval.powers import best_powers
-from mjris.radio import serving
+from mjris.radio import serving, surface
 from mjris.radio.access import noma_rates, oma_rates
 from mjris.radio.fading import complex_normal
 from mjris.radio.links import Channels
 from mjris.radio.powers import qos_or_sum
+from mjris.radio.surface import Surface
 
 CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)
@@ -149,6 +151,26 @@ def test_limits_are_kept(seed, scheme, num_clusters, qos_bps):
     assert np.all(spent <= limit * (1 + 1e-12))
     expected = rates_of(channels, optimum.phases_rad, optimum.powers_w, clusters, radio)
     np.testing.assert_allclose(optimum.rates_bps, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("bits", "least"), [(1, 1.0), (2, 1.0), (1, 0.2)])
+def test_few_phases_are_searched_as_well_as_all_of_them_in_turn(bits, least):
+    channels = random_channels(np.random.default_rng(3), batch=(12,), elements=4)
+    hardware = Hardware(phase_bits=bits, least_amplitude=least)
+    radio = replace(unit_radio(), surface=hardware)
+    found = best_known(channels, CLUSTERS, radio, QOS, np.random.default_rng(0))
+    levels = 2 * np.pi / 2**bits * np.arange(2**bits)
+    assert (abs(np.exp(1j * (found.phases_rad[..., None] - levels)) - 1).min(-1) < 1e-9).all()
+    every = np.stack(np.meshgrid(*[levels] * 4), -1).reshape(-1, 1, 4)
+    repeated = Channels(*(np.broadcast_to(link, (len(every), *link.shape)) for link in channels))
+    phases = np.broadcast_to(every, (len(every), 12, 4))
+    effective = surface.effective_channel(Surface.of(radio), repeated, phases)
+    powers = best_powers(effective.reshape(-1, 4, 4), CLUSTERS, radio, QOS).reshape(len(every), 12, 4)
+    best = score(noma_rates(effective, powers, CLUSTERS, BAND, radio.noise_w), QOS).max(0)
+    reached = score(found.rates_bps, QOS)
+    assert (reached <= best * (1 + 1e-9)).all()
+    assert ((reached > 0) == (best > 0)).mean() > 0.9
+    assert reached[best > 0].sum() > 0.98 * best[best > 0].sum()
 
 
 def test_two_users_by_hand():

@@ -1,3 +1,4 @@
+import copy
 import math
 from dataclasses import replace
 from typing import Any
@@ -6,7 +7,7 @@ import literal
 import numpy as np
 import pytest
 
-from mjris.config import Config, Radio, Task, World
+from mjris.config import Config, Hardware, Radio, Task, World, preset
 from mjris.planning.radio_map import penalised
 from mjris.radio import access, serving
 from mjris.radio.powers import qos_or_sum
@@ -457,3 +458,46 @@ def test_a_fixed_panel_faces_the_room_for_good_and_a_turning_one_its_users(pan):
     facing = (ap - start) / np.linalg.norm(ap - start) + (middle - start) / np.linalg.norm(middle - start)
     np.testing.assert_allclose(headings["fixed"], complex(*facing) / np.linalg.norm(facing), atol=1e-9)
     assert (np.abs(np.diff(headings["turning"], axis=0)) > 1e-6).all()
+
+
+def quiet(**hardware) -> Simulator:
+    made = preset("office")
+    return Simulator(replace(made, radio=replace(made.radio, surface=Hardware(**hardware)), seed=4), 3)
+
+
+def test_dead_elements_reflect_nothing_and_are_others_in_every_cell():
+    simulator = quiet(dead_share=0.25)
+    assert (simulator.dead.sum(1) == 4).all()
+    assert len({tuple(own) for own in simulator.dead.tolist()}) == 3
+    for _ in range(2):
+        scene, phases = simulator.scene, np.random.default_rng(0).uniform(-3, 3, (3, 16))
+        assert (scene.channels.incident[simulator.dead] == 0).all()
+        assert (scene.channels.incident[~simulator.dead] != 0).all()
+        turned = np.where(simulator.dead, phases + 1, phases)
+        same = simulator.effective_channel(turned)
+        np.testing.assert_array_equal(same, simulator.effective_channel(phases))
+        simulator.step(np.zeros((3, 2)), phases, np.full((3, 4), 0.02))
+
+
+def test_phase_noise_is_missed_by_whoever_decides():
+    """The same scenes with and without: what is known stays, and rates are those of phases that are off."""
+    plain, noisy = quiet(), quiet(phase_noise_deg=40.0)
+    phases, powers = plain.reference_phases(), np.full((3, 4), 0.02)
+    np.testing.assert_array_equal(noisy.reference_phases(), phases)
+    missed = copy.deepcopy(noisy._streams).phase_noise(16, math.radians(40.0))
+    assert missed.std() == pytest.approx(math.radians(40.0), rel=0.3)
+    known, truth = noisy.effective_channel(phases), noisy.effective_channel(phases + missed)
+    expected = noisy.rates(truth, powers, None, known)
+    np.testing.assert_allclose(noisy.step(np.zeros((3, 2)), phases, powers).rates_bps, expected, rtol=1e-9)
+    ideal = plain.step(np.zeros((3, 2)), phases, powers).rates_bps
+    assert (abs(expected / ideal - 1) > 1e-3).sum() > 3
+
+
+def test_nothing_else_changes_with_hardware_that_is_ideal_in_the_end():
+    """Streams of noise and of dead elements are their own: places and fading stay as they are."""
+    plain, noisy = quiet(), quiet(phase_noise_deg=20.0, dead_share=0.25, phase_bits=2)
+    for simulator in (plain, noisy):
+        simulator.step(np.full((3, 2), 0.2), np.zeros((3, 16)), np.full((3, 4), 0.02))
+    np.testing.assert_array_equal(plain.scene.users_xy, noisy.scene.users_xy)
+    np.testing.assert_array_equal(plain.scene.channels.direct, noisy.scene.channels.direct)
+    np.testing.assert_array_equal(plain.scene.channels.reflected, noisy.scene.channels.reflected)
