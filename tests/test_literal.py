@@ -98,7 +98,7 @@ def test_a_slot_is_that_of_the_literal_equations(plan, config):
             assert_places(simulator, e)
         # With a static order the first slot fixes that of its gains, in which it is played.
         slot = simulator.step(np.array([[0.3, 0.1], [-0.2, 0.2]]), phases, powers)
-        np.testing.assert_allclose(slot.rates_bps, expected, rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(slot.rates_bps, expected, rtol=1e-9, atol=1e-9)
 
 
 def channels_of(simulator: Simulator, e: int, diffuse) -> tuple[list, list, list]:
@@ -149,8 +149,8 @@ def assert_closed_forms(simulator: Simulator, channels: tuple[list, list, list],
     given_order = None if order is None else np.array([order])
     powers, reached = simulator.reference_powers(np.array([channel]), np.array([wanted]), given_order)
     expected_powers, expected = literal.qos_or_sum(system, channel, wanted, order)
-    np.testing.assert_allclose(reached[0], expected, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(powers[0], expected_powers, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(reached[0], expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(powers[0], expected_powers, rtol=1e-9, atol=1e-12)
     made = Channels(*(np.array([link]) for link in channels))
     surface, weights = Surface.of(radio), np.linspace(0.5, 2.0, len(channel))
     found = aligned_phases(surface, made, weights, iterations=2)[0]
