@@ -17,10 +17,8 @@ def test_a_table_and_a_figure_come_out(monkeypatch, tmp_path, capsys):
     table = pd.read_csv(out)
     assert table["elements"].tolist() == ["ideal", "ideal", "1 bit", "1 bit"]
     assert table["over_ideal_percent"].tolist()[:2] == [0, 0]
-    ideal, coarse = (
-        table[table["elements"] == name].set_index("policy")["penalised_mbps"] for name in ("ideal", "1 bit")
-    )
-    assert coarse["best known"] < ideal["best known"]
+    _, ideal, _, coarse = table["penalised_mbps"].tolist()  # of the best known
+    assert coarse < ideal
     assert out.with_suffix(".png").stat().st_size > 10_000
     assert capsys.readouterr().out.count("|") == 6 * 6
 
