@@ -14,7 +14,14 @@ def random_channels(rng, batch=(3,), users=4, antennas=4, elements=16) -> Channe
     return Channels(*(complex_normal(rng, (*batch, *shape)) for shape in shapes))
 
 
-def system(scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps, clusters, selects=False) -> System:
+CLUSTERS = np.array([[0, 3], [2, 1]])
+
+
+def random_clusters(rng, num_clusters, size):
+    return rng.permutation(num_clusters * size).reshape(num_clusters, size)
+
+
+def system(scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps, clusters=CLUSTERS, selects=False) -> System:
     return System(np.asarray(clusters), scheme == "oma", tx_power_w, bandwidth_hz, noise_w, qos_bps, selects)
 
 

@@ -3,7 +3,15 @@
 import literal
 import numpy as np
 import pytest
-from cases import aligned_phases, effective_channel, qos_aligned_phases, random_channels, system
+from cases import (
+    CLUSTERS,
+    aligned_phases,
+    effective_channel,
+    qos_aligned_phases,
+    random_channels,
+    random_clusters,
+    system,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,12 +20,7 @@ from mjris.radio.links import Channels
 from mjris.radio.powers import qos_or_sum
 from mjris.radio.surface import cascade
 
-CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def random_clusters(rng, num_clusters, size):
-    return rng.permutation(num_clusters * size).reshape(num_clusters, size)
 
 
 def weighted_gain(channels, phases, weights):

@@ -1,27 +1,18 @@
 """Rates, and what follows from what is known."""
 
-import cases
 import literal
 import numpy as np
 import pytest
+from cases import CLUSTERS, random_clusters, system
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mjris.radio.access import noma_rates, oma_rates
 from mjris.radio.fading import complex_normal
-from mjris.radio.serving import System, rates
+from mjris.radio.serving import rates
 
-CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)
 SHAPES = st.sampled_from([(1, 1, 1), (1, 4, 2), (2, 2, 3), (3, 2, 3), (2, 3, 4), (4, 1, 4)])
-
-
-def system(scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps, clusters=CLUSTERS, selects=False) -> System:
-    return cases.system(scheme, tx_power_w, bandwidth_hz, noise_w, qos_bps, clusters, selects)
-
-
-def random_clusters(rng, num_clusters, size):
-    return rng.permutation(num_clusters * size).reshape(num_clusters, size)
 
 
 @given(SEEDS, SHAPES)

@@ -1,6 +1,7 @@
 """The surface: what its elements make of what reaches them. Nobody else puts their amplitude into anything."""
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,9 @@ from mjris.radio.links import Channels
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
+
+_PHASES = 720
+"""Phases that a mean goes over."""
 
 
 class Surface(NamedTuple):
@@ -72,12 +76,13 @@ class Mean(NamedTuple):
     """Squared modulus."""
 
 
-def mean_coefficient(radio: Radio, phases: int = 720) -> Mean:
+@cache  # as it is asked for in every slot
+def mean_coefficient(radio: Radio) -> Mean:
     """`Mean` of a config's elements, phase noise and dead ones included.
 
     Noise of standard deviation σ leaves e^{-σ²/2} of what is coherent.
     """
-    wanted = np.exp(2j * np.pi * (np.arange(phases) + 0.5) / phases)
+    wanted = np.exp(2j * np.pi * (np.arange(_PHASES) + 0.5) / _PHASES)
     surface, made = Surface.of(radio), radio.surface
     if is_ideal(surface):
         coherent, power = surface.amplitude, surface.amplitude**2

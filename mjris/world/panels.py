@@ -46,6 +46,7 @@ def check_boards(radio: Radio, layout: Layout) -> None:
 
     Raises `ConfigError`, one sentence that names the panel at fault.
     """
+    furniture = len(layout.obstacles)
     boxes, first = boxes_of(with_boards(radio, layout)), sum(len(each.bricks) for each in layout.obstacles)
     outside = outside_m(boxes, layout.room)
     for index, panel in enumerate(layout.ris):
@@ -54,8 +55,8 @@ def check_boards(radio: Radio, layout: Layout) -> None:
         if outside[board].max() > _MOUNT_M:
             trouble = f"reaches {outside[board].max():.3f} m through a wall, the floor or the ceiling"
         elif board and depth.max() > _MOUNT_M:
-            other = int(boxes.owner[depth.argmax()]) - len(layout.obstacles)
-            name = f"ris.{other}" if other >= 0 else f"obstacle {layout.obstacles[other].name}"
+            other = int(boxes.owner[depth.argmax()])
+            name = f"obstacle {layout.obstacles[other].name}" if other < furniture else f"ris.{other - furniture}"
             trouble = f"is {depth.max():.3f} m deep in {name}"
         else:
             continue
