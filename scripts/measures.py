@@ -18,11 +18,11 @@ from mujoco.batch import Batch
 from pymanopt.manifolds import ComplexCircle
 from pymanopt.optimizers import ConjugateGradient
 from stable_baselines3 import DDPG
+from torch_merit import Problem, merit
 
 from mjris.config import Config, preset
 from mjris.envs.gym_env import OfficeEnv
 from mjris.envs.sb3_vec import OfficeVecEnv
-from mjris.eval.gradients import Problem, merit
 from mjris.eval.optimum import best_known
 from mjris.learn.agent import build_agent, hidden_layers
 from mjris.learn.run import train

@@ -29,9 +29,9 @@ from mjris.eval.intervals import gain_percent, interval
 from mjris.eval.optimum import best_known
 from mjris.eval.planner import best_places
 from mjris.eval.policies import parked, planned
-from mjris.eval.powers import best_powers
 from mjris.planning.radio_map import penalised
 from mjris.radio.links import Channels
+from mjris.radio.powers import best_powers
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId, Purpose, generator
 
@@ -270,8 +270,8 @@ def finish(table: pd.DataFrame, as_markdown: Callable[[pd.DataFrame], str], out:
 
 def _bare_rates(simulator: Simulator) -> FloatArray:
     """Rates of the present slot without RIS, with the best powers known [S, K] [bit/s]."""
-    config, direct = simulator.config, simulator.scene.channels.direct
-    return simulator.rates(direct, best_powers(direct, simulator.clusters, config.radio, config.task.qos_bps))
+    direct = simulator.scene.channels.direct
+    return simulator.rates(direct, best_powers(simulator.system, direct))
 
 
 def _scores(simulator: Simulator, rates: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -14,6 +14,7 @@ from mjris.eval.bound import upper_bound
 from mjris.eval.optimum import best_known
 from mjris.radio import surface
 from mjris.radio.access import noma_rates, oma_rates
+from mjris.radio.ascent import Effort
 from mjris.radio.closed_forms import aligned_phases
 from mjris.radio.fading import complex_normal
 from mjris.radio.links import Channels
@@ -79,16 +80,15 @@ def test_no_surface_exceeds_the_bound(seed, scheme, bits, least):
     assert (qos_or_sum(system, effective)[1].sum(-1) <= upper_bound(channels, clusters, radio)).all()
 
 
-@given(SEEDS, SCHEMES, st.sampled_from([1, 2, 4]), st.floats(0.01, 1000))
+@given(SEEDS, SCHEMES, st.sampled_from([1, 2, 4]), st.floats(0.01, 1000), st.sampled_from(["equal", "shared"]))
 @settings(max_examples=10, phases=[Phase.generate])
-def test_the_best_known_does_not_exceed_the_bound(seed, scheme, num_clusters, power_w):
+def test_the_best_known_does_not_exceed_the_bound(seed, scheme, num_clusters, power_w, cluster_power):
     rng = np.random.default_rng(seed)
     clusters = rng.permutation(4).reshape(num_clusters, -1)
-    radio = unit_radio(power_w, scheme=scheme, num_clusters=num_clusters)
+    radio = unit_radio(power_w, scheme=scheme, num_clusters=num_clusters, cluster_power=cluster_power)
     channels = random_channels(rng, batch=(8,))
-    best = best_known(
-        channels, clusters, radio, 0.0, rng, random_starts=1, screening_steps=8, finalists=2, final_steps=8
-    )
+    effort = Effort(choices=16, variants=3, screening=8, finalists=2, steps=8, sweeps=1)
+    best = best_known(channels, clusters, radio, 0.0, rng, None, effort)
     assert np.all(best.rates_bps.sum(-1) <= upper_bound(channels, clusters, radio))
 
 

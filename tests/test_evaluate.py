@@ -15,8 +15,8 @@ from mjris.eval.evaluate import compare
 from mjris.eval.optimum import best_known
 from mjris.eval.playing import play
 from mjris.eval.policies import agent_policies, no_ris, planned, planner, reference_controls
-from mjris.eval.powers import best_powers
 from mjris.eval.tables import print_comparison
+from mjris.radio.powers import best_powers
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import Purpose, generator
 from mjris.simulation.task import Task as Agents
@@ -100,7 +100,7 @@ def test_the_planner_is_its_drive_with_the_best_phases_and_powers(scheme):
     for _ in range(SLOTS):
         channels, clusters = simulator.scene.channels, simulator.clusters
         best = best_known(channels, clusters, radio, made.task.qos_bps, rng)
-        powers = best_powers(channels.direct, clusters, radio, made.task.qos_bps)
+        powers = best_powers(simulator.system, channels.direct)
         bare.append(simulator.rates(channels.direct, powers).sum(-1))
         bounds.append(upper_bound(channels, clusters, radio))
         rates.append(best.rates_bps)

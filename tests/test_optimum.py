@@ -1,7 +1,10 @@
 """Reference optimum: against closed forms, exhaustive search and an independent optimiser."""
 
+import importlib
 import itertools
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pymanopt
@@ -15,20 +18,24 @@ from pymanopt.optimizers import ConjugateGradient
 
 from mjris.config import Hardware, Radio
 from mjris.eval.bound import upper_bound
-from mjris.eval.gradients import Problem, merit
 from mjris.eval.optimum import best_known
-from mjris.eval.powers import best_powers
+from mjris.radio import powers as radio_powers
 from mjris.radio import serving, surface
 from mjris.radio.access import noma_rates, oma_rates
+from mjris.radio.ascent import Effort
 from mjris.radio.fading import complex_normal
 from mjris.radio.links import Channels
 from mjris.radio.powers import qos_or_sum
 from mjris.radio.surface import Surface
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+torch_merit = importlib.import_module("torch_merit")
+
 CLUSTERS = np.array([[0, 3], [2, 1]])
 SEEDS = st.integers(0, 2**32 - 1)
 BAND = 1e6
 QOS = 5e4
+SMALL = Effort(choices=2, variants=1, screening=4, finalists=1, steps=4, sweeps=1)
 
 
 def unit_radio(power_w=10.0, **changes):
@@ -51,6 +58,10 @@ def rates_of(channels, phases, powers, clusters, radio):
     return rates(effective, powers, clusters, radio.bandwidth_hz, radio.noise_w)
 
 
+def best_powers(effective, clusters, radio, qos_bps):
+    return radio_powers.best_powers(serving.System.of(radio, clusters, qos_bps), effective)
+
+
 def closed_powers(effective, clusters, scheme, radio, qos_bps):
     """QoS-first powers, or equal ones with OMA."""
     if scheme == "oma":
@@ -68,9 +79,7 @@ def score(rates, qos_bps):
 def test_one_user_and_antenna_reach_the_closed_form(seed, scheme, amplitude):
     channels = random_channels(np.random.default_rng(seed), users=1, antennas=1)
     radio = unit_radio(scheme=scheme, num_clusters=1, element_amplitude=amplitude)
-    optimum = best_known(
-        channels, np.array([[0]]), radio, QOS, np.random.default_rng(0), screening_steps=4, final_steps=4
-    )
+    optimum = best_known(channels, np.array([[0]]), radio, QOS, np.random.default_rng(0), None, SMALL)
     cascade = abs(channels.reflected[:, 0] * channels.incident[..., 0]).sum(-1)
     gain = (abs(channels.direct[:, 0, 0]) + amplitude * cascade) ** 2
     np.testing.assert_allclose(optimum.rates_bps[:, 0], BAND * np.log2(1 + 10 * gain), rtol=1e-9)
@@ -84,7 +93,7 @@ def test_pymanopt_on_the_same_objective_is_not_better(scheme, qos_bps):
     channels, radio = random_channels(rng, batch=(4,)), unit_radio(scheme=scheme)
     ours = best_known(channels, CLUSTERS, radio, qos_bps, rng)
     assert (ours.rates_bps >= qos_bps).all()
-    manifold, problem = ComplexCircle(8), Problem(torch.as_tensor(CLUSTERS), radio, qos_bps)
+    manifold, problem = ComplexCircle(8), torch_merit.Problem(torch.as_tensor(CLUSTERS), radio, qos_bps)
     optimizer = ConjugateGradient(verbosity=0, max_iterations=40)
     met = 0
     for slot, best in enumerate(ours.rates_bps.sum(-1)):
@@ -93,7 +102,9 @@ def test_pymanopt_on_the_same_objective_is_not_better(scheme, qos_bps):
 
         @pymanopt.function.pytorch(manifold)
         def loss(response, direct=direct, incident=incident, reflected=reflected):
-            sum_rate, shortfall = merit(problem, direct + (reflected * response) @ incident, problem.full_budgets)
+            sum_rate, shortfall = torch_merit.merit(
+                problem, direct + (reflected * response) @ incident, problem.full_budgets
+            )
             return (10 * shortfall - sum_rate / BAND).sum()
 
         np.random.seed(slot)  # noqa: NPY002 - pymanopt draws its starts from the global generator
@@ -125,8 +136,8 @@ def test_more_effort_and_closed_forms_hardly_gain(scheme):
     rng = np.random.default_rng(3)
     channels, radio = random_channels(rng, batch=(20,)), unit_radio(scheme=scheme)
     usual = score(best_known(channels, CLUSTERS, radio, QOS, rng).rates_bps, QOS)
-    effort = {"random_starts": 30, "finalists": 20, "final_steps": 80}
-    more = score(best_known(channels, CLUSTERS, radio, QOS, rng, None, **effort).rates_bps, QOS)
+    effort = Effort(choices=16, variants=3, screening=10, finalists=20, steps=80, sweeps=2)
+    more = score(best_known(channels, CLUSTERS, radio, QOS, rng, None, effort).rates_bps, QOS)
     assert np.all(usual >= 0.98 * more)
     assert usual.mean() >= 0.998 * more.mean()
     phases = aligned_phases(channels)
@@ -141,8 +152,7 @@ def test_limits_are_kept(seed, scheme, num_clusters, qos_bps):
     clusters = rng.permutation(4).reshape(num_clusters, -1)
     channels = random_channels(rng, batch=(2, 3))
     radio = unit_radio(scheme=scheme, num_clusters=num_clusters, element_amplitude=0.7)
-    effort = {"random_starts": 1, "screening_steps": 3, "finalists": 1, "final_steps": 3}
-    optimum = best_known(channels, clusters, radio, qos_bps, rng, None, **effort)
+    optimum = best_known(channels, clusters, radio, qos_bps, rng, None, SMALL)
     assert optimum.phases_rad.shape == (2, 3, 8)
     assert np.isfinite(optimum.phases_rad).all()
     assert np.all(optimum.powers_w >= 0)

@@ -149,6 +149,9 @@ class Radio:
     power go to its strongest user, as with NOMA its power does."""
     num_clusters: Count = 2
     """V, clusters of users."""
+    cluster_power: Literal["equal", "shared"] = "equal"
+    """equal: the paper's, no cluster has more than P_max/V; shared: what one leaves of P_max another may have, where
+    budgets are searched (task.ascent_steps)."""
     decoding_order: Literal["dynamic", "static"] = "dynamic"
     """dynamic: by the gains of each slot; static: by those of the episode's first slot."""
 
@@ -204,6 +207,9 @@ class Task:
     the same, from the place that the radio map promises most for."""
     phase_control: Literal["elements", "weights"] = "elements"
     """elements: a phase for each; weights: one for each user in the closed-form alignment to the observed channel."""
+    ascent_steps: Annotated[int, Field(ge=0)] = 0
+    """Steps of an ascent on the phases from the closed-form ones, for the sum rate with QoS; then what clusters spend
+    is searched, too. 0: none, and every cluster spends P_max/V."""
     power_reference: Literal["even", "qos"] = "even"
     """even: shares of what a user may have; qos: the closed-form split, for least rates from the QoS on."""
     qos_headroom: NonNegative = 0.1

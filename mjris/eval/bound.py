@@ -24,7 +24,8 @@ def upper_bound(channels: Channels, clusters: IntArray, radio: Radio) -> FloatAr
     """A bound [...] [bit/s] on the sum rate of every slot, over all phases and all powers that `radio` allows.
 
     `channels` have the leading axes [...] of the slots, `clusters` are int [V, K/V]. Time and memory grow with the
-    number of ways to choose one user from each cluster. Proof, with c = P/(V σ²) and x_k = ‖h_k‖² at some phases:
+    number of ways to choose one user from each cluster. Proof, with x_k = ‖h_k‖² at some phases and c = P/(V σ²), or
+    P/σ² where clusters share:
 
     1. Beams have unit norm and interference only harms, so that no effective gain e_k exceeds x_k/σ².
        NOMA: the rates B log2((1 + e_k (p_k + I_k)) / (1 + e_k I_k)) of a cluster grow with every e_k, and if all have
@@ -40,7 +41,9 @@ def upper_bound(channels: Channels, clusters: IntArray, radio: Radio) -> FloatAr
     # A scheduler that selects users may give all bands to one of each cluster, as in NOMA's bound, which exceeds OMA's.
     oma = radio.scheme == "oma" and not radio.oma_selection
     chosen = clusters.reshape(1, -1) if oma else np.stack(np.meshgrid(*clusters), -1).reshape(-1, num_clusters)
-    snr = radio.tx_power_w / (num_clusters * radio.noise_w)
+    # Any one cluster may have all where they share.
+    shares = num_clusters if oma or radio.cluster_power == "equal" else 1
+    snr = radio.tx_power_w / (shares * radio.noise_w)
     surface = Surface.of(radio).ideal  # as no surface gives more
     alone = _of_users(channels, np.arange(clusters.size)[:, None])
     everybody = np.ones(alone.direct.shape[:-1])

@@ -10,8 +10,8 @@ from mjris.config import Config
 from mjris.eval import fairness
 from mjris.eval.bound import upper_bound
 from mjris.eval.policies import Policy
-from mjris.eval.powers import best_powers
 from mjris.planning.radio_map import penalised
+from mjris.radio.powers import best_powers
 from mjris.simulation.constraints import NAMES
 from mjris.simulation.streams import CellId
 from mjris.simulation.task import Task
@@ -79,7 +79,7 @@ def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: boo
     # Slots, and their parts where phases and powers are held; then powers without RIS are, too.
     bare, served = np.array(direct), np.stack(rates)
     hold = bare.shape[1] // max(config.task.phase_updates_per_slot, 1)
-    bare_powers = best_powers(bare[:, ::hold], simulator.clusters, radio, qos_bps).repeat(hold, 1)
+    bare_powers = best_powers(simulator.system, bare[:, ::hold]).repeat(hold, 1)
     bare_rates = simulator.rates(bare, bare_powers)
     return Played(
         sum_rate_bps=served.sum(-1).mean(0),

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.eval.optimum import best_known
-from mjris.eval.powers import best_powers
 from mjris.radio.links import Channels
+from mjris.radio.powers import best_powers
 from mjris.simulation.outlook import best_goals
 from mjris.simulation.scene import Controls
 from mjris.simulation.simulator import Simulator
@@ -94,11 +94,10 @@ def no_ris() -> Policy:
     """No RIS, and the best powers known for users who are decoded in the order that they are."""
 
     def controls(task: Task) -> Controls:
-        config, simulator = task.config, task.simulator
+        simulator = task.simulator
 
         def tune(channels: Channels) -> tuple[FloatArray, FloatArray]:
-            qos_bps, order = config.task.qos_bps, simulator.order
-            powers = best_powers(channels.direct, simulator.clusters, config.radio, qos_bps, order)
+            powers = best_powers(simulator.system, channels.direct, simulator.order)
             return np.zeros((simulator.num_cells, simulator.num_elements)), powers
 
         return Controls(parked(simulator), *tune(simulator.scene.known), retune=tune)

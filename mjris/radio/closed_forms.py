@@ -11,7 +11,7 @@ from mjris.radio.decoding import ascending
 from mjris.radio.links import Channels
 from mjris.radio.powers import serve
 from mjris.radio.serving import System
-from mjris.radio.surface import Parts, Surface, effective, flattened, parts
+from mjris.radio.surface import Parts, Surface, effective, flattened, parts, pulled
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -20,6 +20,8 @@ IntArray = NDArray[np.int64]
 _LINEAR_ITERATIONS = 2
 """How often `qos_aligned_phases` goes for the sum of the gains, before it cares for every user."""
 _MORE_THAN_ANY_BPS = 1e12
+ITERATIONS = 7
+"""Of `qos_aligned_phases`."""
 
 
 def aligned_phases(
@@ -43,7 +45,7 @@ def qos_aligned_phases(
     known: Channels,
     weights: FloatArray | None = None,
     order: IntArray | None = None,
-    iterations: int = 7,
+    iterations: int = ITERATIONS,
 ) -> FloatArray:
     """Phases [E, N] [rad] for a high sum rate with QoS, under the powers of `qos_or_sum` in a decoding `order`.
 
@@ -70,17 +72,17 @@ def _gain_aligned(
 ) -> FloatArray:
     phases = np.empty((len(incident), incident.shape[1]))
     for cell in range(len(phases)):
-        turns, over = _unturned(incident.shape[1]), parts(incident[cell], reflected[cell])
-        _align(over, direct[cell].conj(), weights[cell], turns)
+        turns, over = unturned(incident.shape[1]), parts(incident[cell], reflected[cell])
+        align(over, direct[cell].conj(), weights[cell], turns)
         for _ in range(iterations):
             channel = effective(surface, direct[cell], over, turns)
-            _align(over, channel.conj(), weights[cell], turns)
-        _write_phases(turns, phases[cell])
+            align(over, channel.conj(), weights[cell], turns)
+        write_phases(turns, phases[cell])
     return phases
 
 
 @compiled
-def _unturned(elements: int) -> FloatArray:
+def unturned(elements: int) -> FloatArray:
     """The parts [2, N] of e^{jθ} for phase zero."""
     turns = np.zeros((2, elements))
     turns[0] = 1
@@ -88,7 +90,8 @@ def _unturned(elements: int) -> FloatArray:
 
 
 @compiled
-def _write_phases(turns: FloatArray, phases: FloatArray) -> None:
+def write_phases(turns: FloatArray, phases: FloatArray) -> None:
+    """Write the angles [N] [rad] of e^{jθ} to `phases`."""
     for n in range(len(phases)):
         phases[n] = math.atan2(turns[1, n], turns[0, n])
 
@@ -106,14 +109,29 @@ def _qos_aligned(
 ) -> FloatArray:
     phases = np.zeros(incident.shape[:2])
     for cell in range(len(phases)):
-        best = -np.inf
         over = parts(incident[cell], reflected[cell])
-        for rank in range(system.clusters.shape[1]):
-            score, turns = _climb(system, surface, direct[cell], over, weights[cell], order[cell], rank, iterations)
-            if score > best:
-                best = score
-                _write_phases(turns, phases[cell])
+        turns = best_alignment(system, surface, direct[cell], over, weights[cell], order[cell], iterations)
+        write_phases(turns, phases[cell])
     return phases
+
+
+@compiled
+def best_alignment(
+    system: System,
+    surface: Surface,
+    direct: ComplexArray,
+    over: Parts,
+    weights: FloatArray,
+    order: IntArray,
+    iterations: int = ITERATIONS,
+) -> FloatArray:
+    """The parts [2, N] of e^{jθ} of `qos_aligned_phases` in one cell."""
+    best, found = -np.inf, unturned(over.incident.shape[2])
+    for rank in range(system.clusters.shape[1]):
+        score, turns = _climb(system, surface, direct, over, weights, order, rank, iterations)
+        if score > best:
+            best, found = score, turns
+    return found
 
 
 @compiled
@@ -129,9 +147,9 @@ def _climb(
 ) -> tuple[float, FloatArray]:
     """The best score of `qos_aligned_phases` from the start for one rank, and the parts [2, N] of e^{jθ} there."""
     users, elements = over.reflected.shape[1:]
-    turns, best_turns, best = _unturned(elements), _unturned(elements), -np.inf
+    turns, best_turns, best = unturned(elements), unturned(elements), -np.inf
     raised, least = weights.copy(), np.full(users, system.qos_bps)
-    _align(over, direct.conj(), _for_rank(system, direct, weights, rank), turns)
+    align(over, direct.conj(), _for_rank(system, direct, weights, rank), turns)
     for iteration in range(iterations):
         channel = effective(surface, direct, over, turns)
         _, reached, beams = serve(system, channel, least, order)
@@ -153,27 +171,19 @@ def _climb(
                 if reached[k] < system.qos_bps:
                     raised[k] *= 2
                 toward[k] = raised[k] / (own.real**2 + own.imag**2) * own.conjugate()
-        _align(over, beams, toward, turns)
+        align(over, beams, toward, turns)
     return best, best_turns
 
 
 @compiled
-def _align(over: Parts, beams: ComplexArray, weights: np.ndarray, turns: FloatArray) -> None:
+def align(over: Parts, beams: ComplexArray, weights: np.ndarray, turns: FloatArray) -> None:
     """Turn Σ_k w_k (h_r,k)_n (G g_k)_n real for every element n, for beams g [K, M]; without any it stays as it is."""
-    elements = turns.shape[1]
-    pull, toward = np.zeros((2, elements)), np.empty((2, elements))
-    for k in range(over.reflected.shape[1]):
-        toward[:] = 0
-        for m in range(over.incident.shape[1]):
-            beam, real, imag = weights[k] * beams[k, m], over.incident[0, m], over.incident[1, m]
-            for n in range(elements):
-                toward[0, n] += real[n] * beam.real - imag[n] * beam.imag
-                toward[1, n] += real[n] * beam.imag + imag[n] * beam.real
-        real, imag = over.reflected[0, k], over.reflected[1, k]
-        for n in range(elements):
-            pull[0, n] += real[n] * toward[0, n] - imag[n] * toward[1, n]
-            pull[1, n] += real[n] * toward[1, n] + imag[n] * toward[0, n]
-    for n in range(elements):
+    toward = np.empty(beams.shape, np.complex128)
+    for k in range(len(beams)):
+        for m in range(beams.shape[1]):
+            toward[k, m] = weights[k] * beams[k, m]
+    pull = pulled(over, toward)
+    for n in range(turns.shape[1]):
         squared = pull[0, n] ** 2 + pull[1, n] ** 2
         inverse = 1 / math.sqrt(squared)
         turns[0, n] = pull[0, n] * inverse if squared > 0 else turns[0, n]

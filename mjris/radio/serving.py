@@ -32,12 +32,22 @@ class System(NamedTuple):
     selects: bool
     """Whether the scheduler of OMA may select users: a cluster's bands are all of the one who has power, if only one
     in every cluster has."""
+    shares_power: bool = False
+    """Whether clusters share P_max, rather than that each has P_max/V."""
 
     @classmethod
     def of(cls, radio: Radio, clusters: IntArray, qos_bps: float) -> "System":
         """With the numbers of a config."""
-        oma = radio.scheme == "oma"
-        return cls(clusters, oma, radio.tx_power_w, radio.bandwidth_hz, radio.noise_w, qos_bps, radio.oma_selection)
+        return cls(
+            clusters,
+            radio.scheme == "oma",
+            radio.tx_power_w,
+            radio.bandwidth_hz,
+            radio.noise_w,
+            qos_bps,
+            radio.oma_selection,
+            radio.cluster_power == "shared",
+        )
 
     def no_order(self, cells: int) -> IntArray:
         """What stands for a decoding order [E, V, K/V] where users are decoded in that of their gains."""

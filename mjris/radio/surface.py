@@ -16,6 +16,8 @@ ComplexArray = NDArray[np.complexfloating]
 
 _PHASES = 720
 """Phases that a mean goes over."""
+_FLAT = 1e-12
+"""Where the dip of the amplitude is taken for flat: a power below one has no slope there."""
 
 
 class Surface(NamedTuple):
@@ -37,6 +39,11 @@ class Surface(NamedTuple):
         step_rad = 2 * math.pi / 2**bits if bits else 0.0
         offset_rad = math.radians(made.amplitude_offset_deg)
         return cls(radio.element_amplitude, step_rad, made.least_amplitude, made.amplitude_steepness, offset_rad)
+
+    @property
+    def unstepped(self) -> "Surface":
+        """The same with elements that take any phase."""
+        return self._replace(step_rad=0.0)
 
     @property
     def ideal(self) -> "Surface":
@@ -156,6 +163,42 @@ def sent(surface: Surface, turns: FloatArray) -> FloatArray:
         through = coefficient(surface, complex(turns[0, n], turns[1, n]))
         made[0, n], made[1, n] = through.real, through.imag
     return made
+
+
+@compiled
+def slopes(surface: Surface, turns: FloatArray) -> FloatArray:
+    """How the coefficients of elements that take any phase change with it, parts [2, N] as in `sent`."""
+    made = np.empty_like(turns)
+    for n in range(turns.shape[1]):
+        made[0, n], made[1, n] = -surface.amplitude * turns[1, n], surface.amplitude * turns[0, n]
+    if surface.least < 1:
+        for n in range(turns.shape[1]):
+            turn = complex(turns[0, n], turns[1, n])
+            beyond = math.atan2(turn.imag, turn.real) - surface.offset_rad
+            dip = max((math.sin(beyond) + 1) / 2, _FLAT)
+            bend = surface.steepness * dip ** (surface.steepness - 1) * math.cos(beyond) / 2
+            through = 1j * coefficient(surface, turn) + surface.amplitude * (1 - surface.least) * bend * turn
+            made[0, n], made[1, n] = through.real, through.imag
+    return made
+
+
+@compiled
+def pulled(over: Parts, toward: ComplexArray) -> FloatArray:
+    """The parts [2, N] of Σ_km t_km h_r[k, n] G[n, m] for `toward` [K, M]."""
+    elements = over.incident.shape[2]
+    pull, onward = np.zeros((2, elements)), np.empty((2, elements))
+    for k in range(over.reflected.shape[1]):
+        onward[:] = 0
+        for m in range(over.incident.shape[1]):
+            beam, real, imag = toward[k, m], over.incident[0, m], over.incident[1, m]
+            for n in range(elements):
+                onward[0, n] += real[n] * beam.real - imag[n] * beam.imag
+                onward[1, n] += real[n] * beam.imag + imag[n] * beam.real
+        real, imag = over.reflected[0, k], over.reflected[1, k]
+        for n in range(elements):
+            pull[0, n] += real[n] * onward[0, n] - imag[n] * onward[1, n]
+            pull[1, n] += real[n] * onward[1, n] + imag[n] * onward[0, n]
+    return pull
 
 
 @reducing

@@ -23,8 +23,8 @@ class Constraints(NamedTuple):
     in_room: BoolArray
     """(OPPD): the rover stands in its room with the whole of its hull."""
     power: BoolArray
-    """(OPPE): no cluster has more power than its share; with OMA a single user counts as a cluster, unless the
-    scheduler selects users."""
+    """(OPPE): no cluster has more power than its share, or all together than P_max where they share; with OMA a single
+    user counts as a cluster, unless the scheduler selects users."""
     decoding_order: BoolArray
     """(OPPB): users are decoded by ascending effective gain; with OMA nobody decodes the signals of others."""
     qos: BoolArray
@@ -98,7 +98,9 @@ def evaluate(
     if order is not None:
         ordered = ascending(serving.effective_gains(system, effective, known, powers_w), powers_w, order)
     # A scheduler that selects users may give one all that its cluster has.
-    groups = system.clusters.reshape(-1, 1) if radio.scheme == "oma" and not radio.oma_selection else system.clusters
+    by_user = radio.scheme == "oma" and not radio.oma_selection
+    shape = (-1, 1) if by_user else (1, -1) if radio.cluster_power == "shared" else system.clusters.shape
+    groups = system.clusters.reshape(shape)
     most_w = radio.tx_power_w / len(groups) * (1 + _ROUNDING)
     in_room, power, qos = _kept(
         rover_xy, hull_radius_m, room_m, powers_w, groups, most_w, rates_bps, config.task.qos_bps

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mjris.config import Config
 from mjris.planning.terrain import Terrain
-from mjris.radio import closed_forms, fading, links, powers, serving
+from mjris.radio import ascent, closed_forms, fading, links, powers, serving
 from mjris.radio.surface import Surface, effective_channel
 from mjris.radio.tables import LinkTable
 from mjris.simulation.checks import checked
@@ -222,22 +222,31 @@ class Simulator:
     def reference_powers(
         self, effective: ComplexArray, wanted_bps: FloatArray | None = None, order: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Closed-form powers [..., K] [W] for known channels [..., K, M], and their promise: `powers.qos_or_sum`."""
-        return powers.qos_or_sum(self.system, effective, wanted_bps, order)
+        """Reference powers [..., K] [W] for known channels [..., K, M], and their promise: `powers.qos_or_sum`.
+
+        With the task's ascent, what clusters spend is searched.
+        """
+        searched = self.config.task.ascent_steps > 0
+        return powers.qos_or_sum(self.system, effective, wanted_bps, order, searched=searched)
 
     def split_powers(self, shares: FloatArray) -> FloatArray:
         """Powers [E, K] [W] for shares [E, K] in [0, 1] of what users may have: `powers.split_powers`."""
         return powers.split_powers(self.system, checked("shares", shares, (self.num_cells, self.clusters.size)))
 
     def reference_phases(self, weights: FloatArray | None = None, channels: links.Channels | None = None) -> FloatArray:
-        """Closed-form phases [E, N] [rad] for user weights [E, K]: `qos_aligned_phases` in the cells' decoding order.
+        """Reference phases [E, N] [rad] for user weights [E, K], in the cells' decoding order.
 
-        For what is known of the present scene by default.
+        `qos_aligned_phases` or, where the task has steps for it, `ascended_phases`. For what is known of the present
+        scene by default.
         """
         if weights is not None:
             weights = checked("weights", weights, (self.num_cells, self.clusters.size))
         known = channels or self.scene.known
-        return closed_forms.qos_aligned_phases(self.system, self.surface, known, weights, self.order)
+        steps = self.config.task.ascent_steps
+        if steps == 0:
+            return closed_forms.qos_aligned_phases(self.system, self.surface, known, weights, self.order)
+        effort = ascent.Effort.of(steps)
+        return ascent.ascended_phases(self.system, self.surface, known, effort, weights, self.order)
 
     def _fix_order(self, known: ComplexArray, powers_w: FloatArray) -> IntArray | None:
         """The static order, which is fixed in the episode's first slot; None where every slot has its own."""

@@ -1,10 +1,9 @@
-"""The radio once more in torch, for the gradients that the reference optimum climbs by.
+"""The merit of a slot once more in torch, with gradients by autograd: what the compiled ascent is held against.
 
-Pinned to the compiled kernels by its tests; whatever needs no gradient takes those.
+For an independent optimiser (pymanopt, in bench and tests) and for tests of the compiled gradients.
 """
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -12,7 +11,6 @@ from torch import Tensor
 
 from mjris.config import Radio
 from mjris.radio.beams import REGULAR, SINGULAR
-from mjris.radio.surface import Surface
 
 
 class Problem(NamedTuple):
@@ -21,14 +19,6 @@ class Problem(NamedTuple):
     clusters: Tensor
     radio: Radio
     qos_bps: float
-    order: Tensor | None = None
-    """Decoding orders that are given [B, V, K/V], negative where they are those of the gains."""
-
-    @property
-    def without_qos(self) -> "Problem":
-        """For the sum rate alone: then one user of a cluster has all, and no order matters, nor any band."""
-        radio = replace(self.radio, scheme="noma") if self.radio.oma_selection else self.radio
-        return self._replace(qos_bps=0.0, order=None, radio=radio)
 
     @property
     def full_budgets(self) -> Tensor:
@@ -39,15 +29,6 @@ class Problem(NamedTuple):
     def least_sinr(self) -> float:
         """SINR that QoS takes in the whole band; a hair more, so that rounding never leaves a rate below it."""
         return math.expm1(math.log(2) * self.qos_bps / self.radio.bandwidth_hz) * (1 + 1e-9)
-
-
-def coefficients(surface: Surface, phases: Tensor) -> Tensor:
-    """`surface.coefficient` [...] of elements that take any phase [...] [rad]; between few there is no gradient."""
-    turns = surface.amplitude * torch.exp(1j * phases)
-    if surface.least == 1:
-        return turns
-    dip = torch.clamp((torch.sin(phases - surface.offset_rad) + 1) / 2, min=1e-12) ** surface.steepness
-    return ((1 - surface.least) * dip + surface.least) * turns
 
 
 def merit(problem: Problem, channel: Tensor, budgets: Tensor) -> tuple[Tensor, Tensor]:
@@ -70,34 +51,15 @@ def cluster_merit(problem: Problem, inverse_gains: Tensor, budgets: Tensor) -> t
     With t the SINR of QoS and users from weakest to strongest, QoS takes Σ_i t (1+t)^(i-1) / e_i of a cluster. What it
     has beyond that adds log2(1 + e_n ΔP / (1+t)^n) to its n rates of QoS: the sum of QoS-first powers.
     """
-    ordered = weakest_first(problem, inverse_gains)
-    needed = qos_budgets(problem, ordered)
+    ordered = arranged(inverse_gains, problem.clusters).sort(-1, descending=True).values
+    steps = (1 + problem.least_sinr) ** torch.arange(ordered.shape[-1], dtype=torch.float64)
+    needed = problem.least_sinr * (steps * ordered).sum(-1)
     growth = (1 + problem.least_sinr) ** ordered.shape[-1]
     spare = budgets - needed
     met = spare >= 0
     bits = torch.log1p(torch.where(met, spare, 0.0) / (ordered[..., -1] * growth)) / math.log(2)
     sum_rate = (ordered.shape[-1] * problem.qos_bps + problem.radio.bandwidth_hz * bits).sum(-1)
     return sum_rate, torch.log(torch.where(met, 1.0, needed / budgets)).sum(-1)
-
-
-def qos_budgets(problem: Problem, ordered: Tensor) -> Tensor:
-    """What QoS takes of each cluster [..., V] [W], for 1/e from `weakest_first`."""
-    growth = (1 + problem.least_sinr) ** torch.arange(ordered.shape[-1], dtype=torch.float64)
-    return problem.least_sinr * (growth * ordered).sum(-1)
-
-
-def weakest_first(problem: Problem, inverse_gains: Tensor) -> Tensor:
-    """1/e of the users [B, ..., K] by cluster, the first decoded first, [B, ..., V, K/V].
-
-    In the order of the gains that is sorted; in another one a user counts with the weakest of those that decode it.
-    """
-    by_gain = arranged(inverse_gains, problem.clusters).sort(-1, descending=True).values
-    if problem.order is None:
-        return by_gain
-    slots, *shape = problem.order.shape
-    given = problem.order.reshape(slots, *[1] * (inverse_gains.ndim - 2), *shape).expand(by_gain.shape)
-    ordered = torch.take_along_dim(inverse_gains, given.clamp(min=0).flatten(-2), -1).unflatten(-1, by_gain.shape[-2:])
-    return torch.where(given < 0, by_gain, ordered.flip(-1).cummax(-1).values.flip(-1))
 
 
 def arranged(values: Tensor, clusters: Tensor) -> Tensor:
