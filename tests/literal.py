@@ -357,7 +357,13 @@ def predicted_rates(system, radio, direct, panels):
         for place, k in enumerate(order):
             later = sum(powers[j] for j in order[place + 1 :])
             rates[k] = radio.bandwidth_hz * math.log2(1 + gain[k] * powers[k] / (gain[k] * later + 1))
-    return rates
+    if min(rates) >= system.qos_bps:
+        return rates
+    alone, power = [0.0] * len(direct), radio.tx_power_w / len(clusters)
+    for each in clusters:
+        k = max(each, key=lambda user: over_noise[user])
+        alone[k] = radio.bandwidth_hz * math.log2(1 + beam_gain * over_noise[k] * power)
+    return alone
 
 
 def penalised(rates, qos_bps, penalty):

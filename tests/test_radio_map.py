@@ -63,7 +63,7 @@ def test_a_heading_takes_the_place_of_the_bisector(simulator):
 
 
 def test_goals_promise_the_most_of_all_places_and_of_staying(simulator):
-    goal, promised = best_goals(simulator, horizon_slots=12)
+    goal, promised = best_goals(simulator)
     paths, here = simulator.terrain.paths, simulator.world.fleet.xy
     present, values = place_values(simulator, here[:, None])[:, 0], node_values(simulator)
     length = paths.distance_to_nodes(here)

@@ -1,11 +1,16 @@
 """Configs with names."""
 
+from dataclasses import replace
+
 from mjris.config.errors import ConfigError
 from mjris.config.schema import Agent, Config, Federation, Radio, Task, World
 
+_THERMAL_DBM_PER_MHZ = -107.0
+"""−174 dBm/Hz and a noise figure of 7 dB."""
+
 _PAPER = Config(radio=Radio(element_pattern="isotropic"))
 
-_OFFICE = Config(
+_CLASSIC = Config(
     world=World(drive="kinematic"),
     task=Task(
         end="time_limit",
@@ -19,20 +24,31 @@ _OFFICE = Config(
     federation=Federation(episodes=100, round_episodes=10),
 )
 
-_DEMO = Config(
-    world=_OFFICE.world,
-    task=_OFFICE.task,
-    agent=_OFFICE.agent,
-    federation=Federation(episodes=30, round_episodes=5),
+_OFFICE = replace(
+    _CLASSIC,
+    world=replace(_CLASSIC.world, layout="practice", walk_scale_m=0.1),
+    radio=Radio(
+        carrier_hz=10e9,
+        bandwidth_hz=400e6,
+        noise_dbm_per_mhz=_THERMAL_DBM_PER_MHZ,
+        tx_power_dbm=10.0,
+        panel_rows=20,
+        panel_cols=20,
+    ),
+    task=replace(_CLASSIC.task, qos_bps=100e6, horizon_slots=30, ascent_steps=20),
 )
 
-_PRESETS = {"office": _OFFICE, "paper": _PAPER, "demo": _DEMO}
+_DEMO = replace(_OFFICE, federation=Federation(episodes=30, round_episodes=5))
+
+_PRESETS = {"office": _OFFICE, "paper": _PAPER, "demo": _DEMO, "classic": _CLASSIC}
 
 
 def preset(name: str) -> Config:
-    """A named config: "office" (recommended), "paper" (the paper's literal agent) or "demo" (minutes).
+    """A named config.
 
-    Raises `ConfigError` for any other name.
+    "office" is the recommended one, "demo" the same with training of minutes, "paper" the paper's literal agent, and
+    "classic" the recommended agent in the paper's radio. docs/regime.md says why. Raises `ConfigError` for any other
+    name.
     """
     if name not in _PRESETS:
         raise ConfigError(f"preset: {name!r} is not known: it is one of {', '.join(_PRESETS)}")

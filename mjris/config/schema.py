@@ -205,6 +205,8 @@ class Task:
     motion: Literal["displacement", "waypoint", "goal"] = "displacement"
     """displacement: where to in this slot; waypoint: a place from the rover, driven to on the shortest free way; goal:
     the same, from the place that the radio map promises most for."""
+    horizon_slots: Count = 12
+    """How far ahead the radio map's goal is chosen; people are taken to stay where they are for so long."""
     phase_control: Literal["elements", "weights"] = "elements"
     """elements: a phase for each; weights: one for each user in the closed-form alignment to the observed channel."""
     ascent_steps: Annotated[int, Field(ge=0)] = 0

@@ -90,6 +90,16 @@ def _action_zero(task: Task) -> Controls:
     return task.decode(np.zeros((task.simulator.num_cells, task.action_size)))
 
 
+def believing_in_sight() -> Policy:
+    """Closed forms that drive for a radio map without walls: as if everything were in line of sight."""
+
+    def controls(task: Task) -> Controls:
+        goal, _ = best_goals(task.simulator, walls=False)
+        return _action_zero(task)._replace(displacement_m=task.simulator.terrain.way_toward(goal))
+
+    return Policy("believes in line of sight", controls, reference_controls().changes)
+
+
 def no_ris() -> Policy:
     """No RIS, and the best powers known for users who are decoded in the order that they are."""
 

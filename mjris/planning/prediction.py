@@ -34,7 +34,7 @@ class Arrays(NamedTuple):
 def predicted_rates(
     direct: FloatArray, incident: FloatArray, reflected: FloatArray, clusters: IntArray, radio: Radio, qos_bps: float
 ) -> FloatArray:
-    """Rates [..., K] [bit/s] under QoS-first powers.
+    """Rates [..., K] [bit/s] under QoS-first powers or, where these leave somebody without QoS, all to the strongest.
 
     `direct` [..., K], `incident` [...] and `reflected` [..., K] are power gains of the links AP–user, AP–RIS and
     RIS–user, element patterns included. A beam is made for the strongest user of its cluster, less the dimensions that
@@ -164,6 +164,24 @@ def predict(system: System, arrays: Arrays, gains: FloatArray, rates: FloatArray
             _take(gains[users[rank]], needed, left, powers[rank])
         for rank in range(size - 1, -1, -1):
             _cancel(system.bandwidth_hz, gains[users[rank]], powers[rank], later, rates[users[rank]])
+    _give_up_qos(system, gains, rates)
+
+
+@compiled
+def _give_up_qos(system: System, gains: FloatArray, rates: FloatArray) -> None:
+    """Where somebody misses QoS in `rates` [K, P], give all of a cluster's power to its strongest, the last one."""
+    budget, least = system.tx_power_w / len(system.clusters), rates[0].copy()
+    for k in range(1, len(rates)):
+        for p in range(len(least)):
+            least[p] = min(least[p], rates[k, p])
+    for users in system.clusters:
+        for user in users[:-1]:
+            for p in range(len(least)):
+                rates[user, p] = rates[user, p] if least[p] >= system.qos_bps else 0.0
+        strongest, gain = rates[users[-1]], gains[users[-1]]
+        for p in range(len(least)):
+            alone = rate_bps(system.bandwidth_hz, gain[p] * budget)
+            strongest[p] = strongest[p] if least[p] >= system.qos_bps else alone
 
 
 @compiled

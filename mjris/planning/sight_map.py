@@ -47,6 +47,12 @@ class Seen(NamedTuple):
     bricks: Boxes
     """What is in the way."""
 
+    @property
+    def through_everything(self) -> "Seen":
+        """The same with nothing in the way."""
+        cells, users = self.low.shape[:2]
+        return self._replace(rows=np.zeros((cells, users + 1, self.rows.shape[2]), np.int16))
+
 
 class SightMap:
     """Obstacles between places at two heights and to an access point, by the squares that the places lie in.

@@ -6,29 +6,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.jit import vectors
-from mjris.jit.compiled import compiled, reducing
+from mjris.jit.compiled import compiled
 from mjris.radio.beams import cluster_beams, strength
 from mjris.radio.budgets import best_budgets, equal_budgets
+from mjris.radio.climbing import Slot, climb, turned
 from mjris.radio.closed_forms import align, best_alignment, unturned, write_phases
 from mjris.radio.decoding import ascending
 from mjris.radio.links import Channels
-from mjris.radio.merit import amplitudes, least_sinr, merit, powers_of, slot_score
+from mjris.radio.merit import amplitudes, least_sinr, powers_of, slot_score
 from mjris.radio.serving import System
-from mjris.radio.surface import Parts, Surface, coefficient, effective, flattened, parts, pulled, slopes
+from mjris.radio.surface import Surface, coefficient, effective, flattened, parts
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 IntArray = NDArray[np.int64]
 
-_MEMORY = 6
-"""Steps that the quasi-Newton ascent remembers."""
-_FIRST_STEP, _LONGEST_STEP = 0.3, 1.5
-"""How far a phase moves in the first step, and at most in any other [rad]."""
 _BARRIER, _LAST_BARRIER = 1e-2, 1e-4
 """What keeps the ascent from cliffs, and in the last steps [bit/s/Hz]."""
-_CLIMB_MARGIN = 1e-4
-"""The ascent aims this much above QoS, relatively, so that it ends inside where QoS bounds it."""
 _ALIGNMENTS = 3
 """Iterations of starts that are aligned to users."""
 _FAR = 4
@@ -55,18 +49,6 @@ class Effort(NamedTuple):
     def of(cls, steps: int) -> "Effort":
         """That of a task with so many steps."""
         return cls(choices=4, variants=1, screening=(steps + 2) // 3, finalists=1, steps=steps, sweeps=1)
-
-
-class _Slot(NamedTuple):
-    """One cell's slot."""
-
-    system: System
-    surface: Surface
-    """With elements that take any phase."""
-    direct: ComplexArray
-    over: Parts
-    weights: FloatArray
-    order: IntArray
 
 
 def ascended_phases(
@@ -122,8 +104,8 @@ def _ascend_all(
     for cell in range(len(phases)):
         over = parts(incident[cell], reflected[cell])
         decoded = order[cell] if system.qos_bps > 0 else no_order
-        slot = _Slot(system, unstepped, direct[cell], over, weights[cell], decoded)
-        aligned = np.empty(phases.shape[1])
+        slot = Slot(system, unstepped, direct[cell], over, weights[cell], decoded)
+        aligned = np.empty(incident.shape[1])
         write_phases(best_alignment(system, surface, direct[cell], over, weights[cell], order[cell]), aligned)
         if surface.step_rad > 0:
             _snap(surface.step_rad, aligned)
@@ -131,30 +113,30 @@ def _ascend_all(
         if system.qos_bps == 0 or _may_meet_qos(slot):
             met, phases[cell] = _searched(slot, surface, aligned, random[cell], effort)
         if met < 0:
-            slot = _Slot(alone, unstepped, direct[cell], over, weights[cell], no_order)
+            slot = Slot(alone, unstepped, direct[cell], over, weights[cell], no_order)
             _, phases[cell] = _searched(slot, surface, aligned, random[cell], effort)
     return phases
 
 
 @compiled
 def _searched(
-    slot: _Slot, surface: Surface, aligned: FloatArray, random: FloatArray, effort: Effort
+    slot: Slot, surface: Surface, aligned: FloatArray, random: FloatArray, effort: Effort
 ) -> tuple[float, FloatArray]:
     """The best phases [N] found from all starts, and their score under the best budgets."""
     starts = _starts(slot, random, effort)
     full = equal_budgets(slot.system)
     reached = np.empty(len(starts))
     for start in range(len(starts)):
-        reached[start] = _climb(slot, starts[start], full, _BARRIER, effort.screening)
+        reached[start] = climb(slot, starts[start], full, _BARRIER, effort.screening)
     best = _settled_score(slot, surface, aligned)
     found, budgets = aligned.copy(), full.copy()
     leading = np.argsort(-reached)
     for start in leading[: effort.finalists]:
         phases = starts[start]
         _spend_best(slot, phases, budgets)
-        _climb(slot, phases, budgets, _BARRIER, effort.steps)
+        climb(slot, phases, budgets, _BARRIER, effort.steps)
         _spend_best(slot, phases, budgets)
-        _climb(slot, phases, budgets, _LAST_BARRIER, effort.steps // 2)
+        climb(slot, phases, budgets, _LAST_BARRIER, effort.steps // 2)
         if surface.step_rad > 0:
             _settle(slot, surface, phases, budgets, effort.sweeps)
         score = _settled_score(slot, surface, phases)
@@ -165,7 +147,7 @@ def _searched(
 
 
 @compiled
-def _may_meet_qos(slot: _Slot) -> bool:
+def _may_meet_qos(slot: Slot) -> bool:
     """Whether every user has QoS where it has a cluster's power and all paths add up in phase."""
     system, over = slot.system, slot.over
     bands = system.clusters.shape[1] if system.oma else 1
@@ -188,7 +170,7 @@ def _may_meet_qos(slot: _Slot) -> bool:
 
 
 @compiled
-def _starts(slot: _Slot, random: FloatArray, effort: Effort) -> FloatArray:
+def _starts(slot: Slot, random: FloatArray, effort: Effort) -> FloatArray:
     """Phases [S, N] for one user of each cluster and against the others, to every user and to all, and `random` ones.
 
     A cluster's beam follows its strongest user: which one that is, the phases choose by pushing others down.
@@ -233,35 +215,25 @@ def _starts(slot: _Slot, random: FloatArray, effort: Effort) -> FloatArray:
 
 
 @compiled
-def _turned(phases: FloatArray) -> FloatArray:
-    """The parts [2, N] of e^{jθ}."""
-    turns = np.empty((2, len(phases)))
-    for n in range(len(phases)):
-        turn = vectors.phasor(-1 / (2 * math.pi) * phases[n])
-        turns[0, n], turns[1, n] = turn.real, turn.imag
-    return turns
-
-
-@compiled
-def _spend_best(slot: _Slot, phases: FloatArray, budgets: FloatArray) -> None:
+def _spend_best(slot: Slot, phases: FloatArray, budgets: FloatArray) -> None:
     """Write the best `budgets` [V] [W] known for these phases."""
     if not slot.system.oma:
-        channel = effective(slot.surface, slot.direct, slot.over, _turned(phases))
+        channel = effective(slot.surface, slot.direct, slot.over, turned(phases))
         _budgets_over(slot, channel, budgets)
 
 
 @compiled
-def _budgets_over(slot: _Slot, channel: ComplexArray, budgets: FloatArray) -> float:
+def _budgets_over(slot: Slot, channel: ComplexArray, budgets: FloatArray) -> float:
     """The same for an effective channel [K, M], and their score."""
     received = powers_of(amplitudes(slot.system, channel, cluster_beams(channel, slot.system.clusters)))
     return best_budgets(slot.system, least_sinr(slot.system), received, slot.weights, slot.order, budgets)
 
 
 @compiled
-def _settled_score(slot: _Slot, surface: Surface, phases: FloatArray) -> float:
+def _settled_score(slot: Slot, surface: Surface, phases: FloatArray) -> float:
     """The score of phases [N] on the very surface, under the best budgets."""
     budgets = equal_budgets(slot.system)
-    channel = effective(surface, slot.direct, slot.over, _turned(phases))
+    channel = effective(surface, slot.direct, slot.over, turned(phases))
     if slot.system.oma:
         return slot_score(slot.system, channel, budgets, slot.weights, slot.order)
     return _budgets_over(slot, channel, budgets)
@@ -275,14 +247,14 @@ def _snap(step_rad: float, phases: FloatArray) -> None:
 
 
 @compiled
-def _settle(slot: _Slot, surface: Surface, phases: FloatArray, budgets: FloatArray, sweeps: int) -> None:
+def _settle(slot: Slot, surface: Surface, phases: FloatArray, budgets: FloatArray, sweeps: int) -> None:
     """Set `phases` [N] to the nearest ones that there are, and after that each in turn to the best one."""
     step, over = surface.step_rad, slot.over
     users, antennas = slot.direct.shape
     count = round(2 * math.pi / step)
     tried = np.empty_like(slot.direct)
     _snap(step, phases)
-    channel = effective(surface, slot.direct, over, _turned(phases))
+    channel = effective(surface, slot.direct, over, turned(phases))
     best = slot_score(slot.system, channel, budgets, slot.weights, slot.order)
     for _ in range(sweeps):
         for n in range(len(phases)):
@@ -303,93 +275,3 @@ def _settle(slot: _Slot, surface: Surface, phases: FloatArray, budgets: FloatArr
                 onward = change * complex(over.reflected[0, k, n], over.reflected[1, k, n])
                 for m in range(antennas):
                     channel[k, m] += onward * complex(over.incident[0, m, n], over.incident[1, m, n])
-
-
-@compiled
-def _value(slot: _Slot, phases: FloatArray, budgets: FloatArray, barrier: float, gradient: FloatArray) -> float:
-    """`merit` at phases [N]; writes its `gradient` [N]."""
-    turns = _turned(phases)
-    channel = effective(slot.surface, slot.direct, slot.over, turns)
-    by_channel = np.empty_like(channel)
-    value = merit(slot.system, channel, budgets, slot.weights, slot.order, barrier, by_channel)
-    pull, through = pulled(slot.over, by_channel.conj()), slopes(slot.surface, turns)
-    for n in range(len(phases)):
-        gradient[n] = pull[0, n] * through[0, n] - pull[1, n] * through[1, n]
-    return value
-
-
-@reducing
-def _dot(a: FloatArray, b: FloatArray) -> float:
-    total = 0.0
-    for n in range(len(a)):
-        total += a[n] * b[n]
-    return total
-
-
-@compiled
-def _steepest(gradient: FloatArray) -> float:
-    """The largest modulus, at least a tiny one."""
-    most = 1e-300
-    for slope in gradient:
-        most = max(most, abs(slope))
-    return most
-
-
-@compiled
-def _climb(slot: _Slot, phases: FloatArray, budgets: FloatArray, barrier: float, steps: int) -> float:
-    """Limited-memory BFGS ascent of `phases` [N] in place; returns the `merit` that they reach.
-
-    A step that does not gain enough is not taken, and a quarter of it is tried next.
-    """
-    system = slot.system
-    aimed = System(
-        system.clusters,
-        system.oma,
-        system.tx_power_w,
-        system.bandwidth_hz,
-        system.noise_w,
-        system.qos_bps * (1 + _CLIMB_MARGIN),
-        system.selects,
-        system.shares_power,
-    )
-    slot = _Slot(aimed, slot.surface, slot.direct, slot.over, slot.weights, slot.order)
-    elements = len(phases)
-    gradient, next_gradient = np.empty(elements), np.empty(elements)
-    steps_made, bends = np.empty((_MEMORY, elements)), np.empty((_MEMORY, elements))
-    inverse, part, count = np.empty(_MEMORY), np.empty(_MEMORY), 0
-    value = _value(slot, phases, budgets, barrier, gradient)
-    # Inverse curvature along the last step; at first, such that the steepest phase moves by _FIRST_STEP.
-    scale, length = _FIRST_STEP / _steepest(gradient), 1.0
-    direction = scale * gradient
-    for _ in range(steps):
-        trial = phases + length * direction
-        next_value = _value(slot, trial, budgets, barrier, next_gradient)
-        if not next_value > value + 1e-4 * length * _dot(gradient, direction):
-            length *= 0.25
-            continue
-        step, bend = steps_made[count % _MEMORY], bends[count % _MEMORY]
-        for n in range(elements):
-            step[n], bend[n] = trial[n] - phases[n], gradient[n] - next_gradient[n]
-        curvature, squared = _dot(step, bend), _dot(bend, bend)
-        if curvature > 1e-12 * math.sqrt(_dot(step, step) * squared):
-            inverse[count % _MEMORY], scale = 1 / curvature, curvature / squared
-            count += 1
-        phases[:], gradient[:], value, length = trial, next_gradient, next_value, 1.0
-        # Inverse curvature times gradient by the two-loop recursion.
-        direction[:] = gradient
-        for back in range(min(count, _MEMORY)):
-            i = (count - 1 - back) % _MEMORY
-            part[i] = inverse[i] * _dot(steps_made[i], direction)
-            _add(direction, -part[i], bends[i])
-        direction *= scale
-        for back in range(min(count, _MEMORY) - 1, -1, -1):
-            i = (count - 1 - back) % _MEMORY
-            _add(direction, part[i] - inverse[i] * _dot(bends[i], direction), steps_made[i])
-        direction *= min(1.0, _LONGEST_STEP / _steepest(direction))
-    return value
-
-
-@compiled
-def _add(to: FloatArray, factor: float, what: FloatArray) -> None:
-    for n in range(len(to)):
-        to[n] += factor * what[n]

@@ -9,6 +9,7 @@ from mjris.jit.compiled import compiled
 from mjris.radio.links import Channels
 from mjris.simulation.outlook import place_values
 from mjris.simulation.simulator import Simulator
+from mjris.simulation.units import rate_unit_bps, usual_loss_db
 
 FloatArray = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -22,10 +23,10 @@ _ANGLES = np.arange(8) * np.pi / 4
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], -1)
 _AROUND = np.concatenate([np.zeros((1, 2)), *(radius * _CIRCLE for radius in _RADII_M)])
 """Places of the radio map that are seen, the rover's own first, from there [P, 2] [m]."""
-_USUAL_LOSS_DB, _LOSS_SPREAD_DB = 70, 15
-"""What path losses are scaled by: indoors at some GHz they lie within 40 and 100 dB."""
+_LOSS_SPREAD_DB = 15
+"""What path losses are scaled by: indoors they lie within some 30 dB of the usual one."""
 _GAIN_SCALE = 5
-"""Gains of the radio map are some tenths of a Mb/s."""
+"""Gains of the radio map are some tenths of the unit of rates."""
 
 
 def channel_state(simulator: Simulator) -> Seen:
@@ -35,7 +36,8 @@ def channel_state(simulator: Simulator) -> Seen:
     width = 4 + 2 * users + scene.path_loss_db.shape[1]
     width += 2 * (users * antennas + elements * antennas + users * elements)
     seen = np.empty((simulator.num_cells, width), np.float32)
-    _write_channel_state(seen, *_geometry(simulator), scene.known, simulator.link_of)
+    usual_db = usual_loss_db(simulator.config)
+    _write_channel_state(seen, *_geometry(simulator), scene.known, simulator.link_of, usual_db)
     return seen
 
 
@@ -52,7 +54,8 @@ def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) 
     width = 4 + 6 * scene.users_xy.shape[1] + scene.path_loss_db.shape[1] + len(_AROUND) + len(_CIRCLE) + 3
     seen = np.empty((simulator.num_cells, width), np.float32)
     values_bps = place_values(simulator, around)
-    _write_radio_map(seen, *_geometry(simulator), scene.known, values_bps, free, goal, promised_bps)
+    scales = rate_unit_bps(simulator.config), usual_loss_db(simulator.config)
+    _write_radio_map(seen, *_geometry(simulator), scene.known, values_bps, free, goal, promised_bps, *scales)
     return seen
 
 
@@ -72,11 +75,12 @@ def _write_channel_state(
     loss_db: FloatArray,
     channels: Channels,
     link_of: tuple[IntArray, IntArray, IntArray],
+    usual_db: float,
 ) -> None:
     for e in range(len(seen)):
         own, amplitude = seen[e], 10.0 ** (loss_db[e] / 20)
         at = _write_positions(own, rover_xy[e], panel_heading[e], users_xy[e], room_m[e])
-        at = _write_losses(own, at, loss_db[e])
+        at = _write_losses(own, at, loss_db[e], usual_db)
         at = _write_fading(own, at, channels.direct[e], link_of[0], amplitude)
         at = _write_fading(own, at, channels.incident[e], link_of[1], amplitude)
         _write_fading(own, at, channels.reflected[e], link_of[2], amplitude)
@@ -95,6 +99,8 @@ def _write_radio_map(
     free: FloatArray,
     goal: FloatArray,
     promised_bps: FloatArray,
+    unit_bps: float,
+    usual_db: float,
 ) -> None:
     direct, incident, reflected = channels
     users, toward = users_xy.shape[1], np.empty(incident.shape[1])
@@ -105,20 +111,20 @@ def _write_radio_map(
             for i in range(2):
                 own[at] = 2 * (users_xy[e, k, i] - rover_xy[e, i]) / room_m[e, i]
                 at += 1
-        at = _write_losses(own, at, loss_db[e])
+        at = _write_losses(own, at, loss_db[e], usual_db)
         for n in range(len(toward)):
             toward[n] = _norm(incident[e, n])
         for k in range(users):
-            own[at + k] = _scaled(_loss_db(_norm(direct[e, k])))
+            own[at + k] = _scaled(_loss_db(_norm(direct[e, k])), usual_db)
             # With all elements in phase.
             panel = 0.0
             for n in range(len(toward)):
                 panel += math.sqrt(reflected[e, k, n].real ** 2 + reflected[e, k, n].imag ** 2) * toward[n]
-            own[at + users + k] = _scaled(_loss_db(panel))
+            own[at + users + k] = _scaled(_loss_db(panel), usual_db)
         at += 2 * users
-        own[at] = here / 1e6
+        own[at] = here / unit_bps
         for place in range(1, values_bps.shape[1]):
-            own[at + place] = _GAIN_SCALE * (values_bps[e, place] - here) / 1e6
+            own[at + place] = _GAIN_SCALE * (values_bps[e, place] - here) / unit_bps
         at += values_bps.shape[1]
         for way in range(free.shape[1]):
             own[at + way] = min(free[e, way], 1.0)
@@ -127,7 +133,7 @@ def _write_radio_map(
         x, y = goal[e, 0] - rover_xy[e, 0], goal[e, 1] - rover_xy[e, 1]
         root = math.sqrt(FAR_M * max(math.hypot(x, y), 1e-9))
         own[at], own[at + 1] = x / root, y / root
-        own[at + 2] = _GAIN_SCALE * (promised_bps[e] - here) / 1e6
+        own[at + 2] = _GAIN_SCALE * (promised_bps[e] - here) / unit_bps
 
 
 @compiled
@@ -144,10 +150,10 @@ def _write_positions(
 
 
 @compiled
-def _write_losses(seen: Seen, at: int, loss_db: FloatArray) -> int:
+def _write_losses(seen: Seen, at: int, loss_db: FloatArray, usual_db: float) -> int:
     """Write the path losses of all links from `at` on; where they end."""
     for link in range(len(loss_db)):
-        seen[at + link] = _scaled(loss_db[link])
+        seen[at + link] = _scaled(loss_db[link], usual_db)
     return at + len(loss_db)
 
 
@@ -166,9 +172,9 @@ def _write_fading(seen: Seen, at: int, channel: ComplexArray, link_of: IntArray,
 
 
 @compiled
-def _scaled(loss_db: float) -> float:
+def _scaled(loss_db: float, usual_db: float) -> float:
     """A path loss [dB] around zero and of order one."""
-    return (loss_db - _USUAL_LOSS_DB) / _LOSS_SPREAD_DB
+    return (loss_db - usual_db) / _LOSS_SPREAD_DB
 
 
 @compiled

@@ -40,18 +40,20 @@ def node_values(simulator: Simulator, heading_rad: float = math.nan) -> FloatArr
     return radio_map.values_at(_ground(simulator, heading_rad), paths.nodes[None], reachable)
 
 
-def best_goals(simulator: Simulator, horizon_slots: int = 12) -> tuple[FloatArray, FloatArray]:
+def best_goals(simulator: Simulator, *, walls: bool = True) -> tuple[FloatArray, FloatArray]:
     """Where to drive [E, 2] [m] for the largest predicted sum over the next slots, and the mean of that [E] [bit/s].
 
     Of the nodes of `Terrain.paths` and the present place, the way there included. Users are taken to stay where they
-    are; the horizon is short because they do not.
+    are; the horizon is short because they do not. Without `walls` everything is taken to be in line of sight.
     """
     world, paths = simulator.config.world, simulator.terrain.paths
     here = simulator.scene.rover_xy
-    horizon_m = horizon_slots * world.max_speed_mps * world.slot_s
+    horizon_m = simulator.config.task.horizon_slots * world.max_speed_mps * world.slot_s
     way_m = paths.distance_to_nodes(here, horizon_m)
     # Only what can be reached by then is valued.
     within, ground = way_m < horizon_m, _ground(simulator)
+    if not walls:
+        ground = ground._replace(seen=ground.seen.through_everything)
     present = radio_map.values_at(ground, here[:, None], np.ones((len(here), 1), np.bool_))[:, 0]
     values = radio_map.values_at(ground, paths.nodes[None], within)
     along = paths.along(way_m, present, values, horizon_m)

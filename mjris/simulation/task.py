@@ -15,6 +15,7 @@ from mjris.simulation.outlook import bare_values, best_goals, place_values
 from mjris.simulation.scene import Controls, Scene, Slot
 from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId
+from mjris.simulation.units import rate_unit_bps
 
 FloatArray = NDArray[np.floating]
 
@@ -29,7 +30,7 @@ class Outcome:
     observation: NDArray[np.float32]
     """[E, D]"""
     reward: FloatArray
-    """[E] [Mb/s]"""
+    """[E], in `Task.rate_unit_bps`"""
     slot: Slot
 
 
@@ -46,6 +47,8 @@ class Task:
         self._num_phases = self.simulator.num_elements if config.task.phase_control == "elements" else users
         self._pans = config.world.pan == "action"
         self.action_size = 2 + self._num_phases + users + self._pans
+        self.rate_unit_bps = rate_unit_bps(config)
+        """Unit of rewards [bit/s]: 1 Mb/s with the paper's numbers."""
         self._reach_m = config.world.max_speed_mps * config.world.slot_s
         self._planned_for: Scene | None = None
         self._planned: tuple[FloatArray, FloatArray]
@@ -68,14 +71,15 @@ class Task:
         return Outcome(self.observe(), self.reward(slot) + shaping, slot)
 
     def _potential(self) -> FloatArray | float:
-        """Potential of the scene [E] [Mb/s], or zero, for rewards shaped as in Ng, Harada and Russell (1999)."""
+        """Potential of the scene [E], in the unit of rewards, or zero, for rewards shaped as in Ng, Harada and Russell (1999)."""
         task, simulator = self.config.task, self.simulator
         weight = task.map_potential
         if weight == 0:
             return 0.0
         if self._valued_for is not simulator.scene:
             here = place_values(simulator, simulator.scene.rover_xy[:, None])[:, 0]
-            self._valued_for, self._valued = simulator.scene, weight * (here - bare_values(simulator)) / 1e6
+            gain_bps = here - bare_values(simulator)
+            self._valued_for, self._valued = simulator.scene, weight * gain_bps / self.rate_unit_bps
         if task.end == "time_limit":
             return self._valued
         # After a true end nothing is to be had: shaping has to add up to the potential of the start.
@@ -119,12 +123,12 @@ class Task:
         return np.concatenate([seen, left], 1, dtype=np.float32)
 
     def reward(self, slot: Slot) -> FloatArray:
-        """Rewards [E] [Mb/s]: eq. (R), minus the same slot's value without RIS if the reward is "gain"."""
+        """Rewards [E] in `rate_unit_bps`: eq. (R), minus the same slot's value without RIS if the reward is "gain"."""
         task = self.config.task
         value = penalised(slot.rates_bps, task.qos_bps, task.qos_penalty)
         if task.reward == "gain":
             value = value - penalised(slot.bare_rates_bps, task.qos_bps, task.qos_penalty)
-        return value / 1e6
+        return value / self.rate_unit_bps
 
     def _displacement(self, move: FloatArray) -> FloatArray:
         if self.config.task.ris != "mobile":
