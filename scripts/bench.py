@@ -100,8 +100,8 @@ def simulator(quick: bool) -> list[Row]:
     """Slots a second, everything included, under random actions."""
     repeats, slots = (3, 5) if quick else (7, 50)
     one, two, single, bare = measures.kinematic(preset("paper"), repeats, slots)
-    office = measures.kinematic(preset("office"), repeats, max(2, slots // 5))
-    few, many = measures.elements(preset("office"), repeats, 4 * slots)
+    office = measures.kinematic(preset("classic"), repeats, max(2, slots // 5))
+    few, many = measures.elements(preset("classic"), repeats, 4 * slots)
     ours, physics = measures.wheels(preset("paper"), repeats, max(2, slots // 5))
     return [
         Row("kinematic, E = 64, one process [slots/s]", one, ",.0f"),
@@ -111,12 +111,12 @@ def simulator(quick: bool) -> list[Row]:
         Row("kinematic, E = 64, one process / matrices alone", ratios(one, bare), ".2f", ratio=True),
         Row("kinematic, E = 64, two processes / matrices alone", ratios(two, bare), ".2f", "2", ratio=True),
         Row("kinematic, E = 1 / matrices alone", ratios(single, bare), ".3f", ratio=True),
-        Row("office task, E = 64, one process [slots/s]", office[0], ",.0f"),
-        Row("office task, E = 64, two processes [slots/s]", office[1], ",.0f"),
-        Row("office task, E = 1 [slots/s]", office[2], ",.0f"),
-        Row("office task, E = 64, one process / matrices alone", ratios(office[0], office[3]), ".3f", ratio=True),
-        Row("office task, E = 1, N = 16 [ms a slot]", few, ".2f"),
-        Row("office task, E = 1, N = 1,024 [ms a slot]", many, ".2f"),
+        Row("classic task, E = 64, one process [slots/s]", office[0], ",.0f"),
+        Row("classic task, E = 64, two processes [slots/s]", office[1], ",.0f"),
+        Row("classic task, E = 1 [slots/s]", office[2], ",.0f"),
+        Row("classic task, E = 64, one process / matrices alone", ratios(office[0], office[3]), ".3f", ratio=True),
+        Row("classic task, E = 1, N = 16 [ms a slot]", few, ".2f"),
+        Row("classic task, E = 1, N = 1,024 [ms a slot]", many, ".2f"),
         Row("N = 16 / N = 1,024", ratios(few, many), ".2f", "0.40", ratio=True),
         Row("wheels, E = 64 [slots/s]", ours, ",.0f"),
         Row("bare Batch.step of the same model [slots/s]", physics, ",.0f"),
@@ -135,11 +135,11 @@ def sight(quick: bool) -> list[Row]:
 
 
 def training(quick: bool) -> list[Row]:
-    """Agent-steps a second, environment and update, of the office preset and of agents of the paper's size."""
+    """Agent-steps a second, environment and update, of the classic preset and of agents of the paper's size."""
     processes = [{"backend": "processes", "workers": workers} for workers in (1, 2)]
     stacked = {"backend": "stacked"}
     repeats, slots = (1, 20) if quick else (5, 100)
-    stock, one, two, stack = measures.federation(preset("office"), repeats, 4, slots, [*processes, stacked])
+    stock, one, two, stack = measures.federation(preset("classic"), repeats, 4, slots, [*processes, stacked])
     rows = [
         Row("SB3's DDPG MlpPolicy agents, one after another [agent-steps/s]", stock, ",.0f"),
         Row("4 cells, one process [agent-steps/s]", one, ",.0f"),
@@ -148,9 +148,9 @@ def training(quick: bool) -> list[Row]:
         Row("4 cells, two workers / one process", ratios(two, one), ".2f", "1.60", ratio=True),
         Row("4 cells, stacked / stock SB3", ratios(stack, stock), ".2f", "5", ratio=True),
     ]
-    for name, cells, wanted in (("office", 16, "10"), ("paper", 4, "5"), ("paper", 16, "10")):
+    for name, cells, wanted in (("classic", 16, "10"), ("paper", 4, "5"), ("paper", 16, "10")):
         stock, stack = measures.federation(preset(name), repeats, cells, slots, [stacked])
-        size = "" if name == "office" else ", paper's size"
+        size = "" if name == "classic" else ", paper's size"
         rows += [
             Row(f"SB3's DDPG beside {cells} cells{size} [agent-steps/s]", stock, ",.0f"),
             Row(f"{cells} cells, stacked{size} [agent-steps/s]", stack, ",.0f"),

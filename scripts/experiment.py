@@ -79,7 +79,7 @@ def read(path: Path) -> Experiment:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     except KeyError as error:
         raise ConfigError(f"{path}: {error.args[0]} is missing") from None
-    config = from_dict(_merged(preset(data.get("preset", "office")).to_dict(), data.get("config", {})), str(path))
+    config = from_dict(_merged(preset(data.get("preset", "classic")).to_dict(), data.get("config", {})), str(path))
     federation = config.federation
     for episode in judged:
         if episode % federation.round_episodes or not 0 < episode <= federation.episodes:

@@ -69,7 +69,7 @@ def judged(study: HardwareStudy, hardware: Hardware, policy: str) -> Played:
 
 def config(study: HardwareStudy, hardware: Hardware) -> Config:
     """The config of a row."""
-    made = preset("office")
+    made = preset("classic")
     radio = replace(made.radio, panel_rows=8, panel_cols=8, surface=hardware)
     return replace(made, radio=radio, task=replace(made.task, slots=study.slots))
 

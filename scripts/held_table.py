@@ -50,7 +50,7 @@ def main(study: HeldStudy) -> None:
 
 def play(updates: int, study: HeldStudy) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sum rates with and without the QoS penalty of the closed forms, and without RIS, by scene [S] [bit/s]."""
-    config = preset("office")
+    config = preset("classic")
     task_config = replace(config.task, phase_updates_per_slot=updates)
     config = replace(config, task=task_config, radio=replace(config.radio, difference_factor=1.0))
     task = Task(config, [CellId(study.seed, scene) for scene in range(study.scenes)])

@@ -77,7 +77,7 @@ def rival_scores(config: Config, name: str, folder: Path, scenes: int, seed: int
 
 def rival_file(config: Config, folder: Path, name: str) -> Path:
     """Where something about a config is kept that depends on neither agents nor training."""
-    plain = replace(config, agent=preset("office").agent, federation=preset("office").federation, seed=0)
+    plain = replace(config, agent=preset("classic").agent, federation=preset("classic").federation, seed=0)
     return folder / "rivals" / "judged" / f"{run_folder(plain, Path()).name}_{name}.json"
 
 

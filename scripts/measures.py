@@ -121,7 +121,7 @@ def wheels(config: Config, repeats: int, slots: int) -> list[list[float]]:
 
 def sight(repeats: int, calls: int) -> list[list[float]]:
     """Links a second of 64 cells, all their obstacles counted; and first hits a second of MuJoCo's rays on them."""
-    world = Simulator(preset("office"), CELLS).world
+    world = Simulator(preset("classic"), CELLS).world
     rng = np.random.default_rng(0)
     start, end = rng.uniform(0, world.office(0).layout.room.size, (2, CELLS, 9, 3))
     direction = (end - start) / np.linalg.norm(end - start, axis=-1, keepdims=True)
@@ -190,7 +190,7 @@ def training_seconds(config: Config) -> float:
 
 def optimum(repeats: int) -> list[Times]:
     """Seconds a slot of pymanopt from one start, of our search from all of its starts, and of an agent's decisions."""
-    config = preset("office")
+    config = preset("classic")
     task = Task(replace(config, radio=replace(config.radio, difference_factor=1.0)), 4 * CELLS)
     simulator = task.simulator
     channels, radio, clusters = simulator.scene.channels, config.radio, simulator.clusters
@@ -229,7 +229,7 @@ def optimum(repeats: int) -> list[Times]:
 
 def filming(repeats: int, slots: int) -> list[float]:
     """Frames a second of a video of 640 × 480, encoding included."""
-    config = preset("office")
+    config = preset("classic")
     task = Task(config)
     rollout = record(task, lambda observation: np.zeros((len(observation), task.action_size)), slots, 0)
     office = task.simulator.world.office(0)

@@ -36,7 +36,7 @@ from mjris.simulation.simulator import Simulator
 from mjris.simulation.streams import CellId, Purpose, generator
 
 FloatArray = NDArray[np.floating]
-T = TypeVar("T", bound="Scenes")
+T = TypeVar("T")
 
 SCHEMES = ("noma", "oma")
 
@@ -77,7 +77,7 @@ class Study(Scenes):
     @property
     def config(self) -> Config:
         """The recommended config, with fading of its own in every scene."""
-        config = preset("office")
+        config = preset("classic")
         radio = replace(config.radio, difference_factor=1.0)
         return replace(config, world=replace(config.world, layout=self.layout), radio=radio)
 

@@ -4,8 +4,8 @@ python scripts/regime.py [REGIME ...] [--scenes S] [--slots T] [--seeds SEED ...
 
 Each regime is the recommended one with something changed, see `REGIMES`. Four rivals play it, all with the preset's
 phases and powers: no RIS; a fixed RIS at the best place that a search over other scenes finds; a rover that drives for
-a radio map without walls; and one whose map has them. Gains are of the last one, of the sum rate with the QoS penalty of
-eq. (R), with 95 % intervals over scenes. Prints the table as Markdown; rows that --out has already are not played again.
+a radio map without walls; and one whose map has them. Gains are of the last one, of the sum rate with the QoS penalty
+of eq. (R), with 95 % intervals over scenes. Prints the table as Markdown; rows that --out has are not played again.
 """
 
 import time
@@ -83,11 +83,12 @@ def main(sweep: Sweep) -> None:
     unknown = [name for name in sweep.regimes if name not in REGIMES]
     if unknown:
         raise ConfigError(f"regimes: {unknown[0]!r} is not known: it is one of {', '.join(REGIMES)}")
-    known = sweep.out is not None and sweep.out.exists()
-    table = pd.read_csv(sweep.out) if known and sweep.out is not None else pd.DataFrame({"regime": [], "seed": []})
+    table = pd.DataFrame({"regime": [], "seed": []})
+    if sweep.out is not None and sweep.out.exists():
+        table = pd.read_csv(sweep.out)
     for name in sweep.regimes:
         for seed in sweep.seeds:
-            if not ((table["regime"] == name) & (table["seed"] == seed)).any():
+            if (name, seed) not in zip(table["regime"], table["seed"], strict=True):
                 row = pd.DataFrame([judged(name, sweep, seed)])
                 table = pd.concat([table, row], ignore_index=True) if len(table) else row
                 if sweep.out is not None:

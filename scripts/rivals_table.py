@@ -24,7 +24,7 @@ from mjris.simulation.streams import Purpose, generator
 
 def main(study: Scenes) -> None:
     """Play, print, write."""
-    config, rng = preset("office"), generator(study.seed, Purpose.RESAMPLING)
+    config, rng = preset("classic"), generator(study.seed, Purpose.RESAMPLING)
     mobile = play(config, reference_controls(), study.scenes, study.seed)
     rows = [
         row(policy.name, mobile, play(config, policy, study.scenes, study.seed), rng) for policy in rivals(study.seed)
@@ -36,7 +36,7 @@ def rivals(seed: int) -> Iterator[Policy]:
     """Closed forms with one thing taken away; places are searched in scenes that do not follow from `seed`."""
     mobile = reference_controls()
     yield fixed_ris()
-    yield parking.parked_at(parking.best_spot(preset("office"), seed))
+    yield parking.parked_at(parking.best_spot(preset("classic"), seed))
     yield from reference_oma()
     yield replace(mobile, name="static order", changes={**mobile.changes, "radio": {"decoding_order": "static"}})
 

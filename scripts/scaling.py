@@ -41,7 +41,7 @@ class Options:
 def main(options: Options) -> None:
     """Measure each case in a process of its own, so that its memory is its own."""
     cases = [
-        (what, cells) for what in ("csi task", "office task", "training") for cells in CELLS if cells <= options.most
+        (what, cells) for what in ("csi task", "classic task", "training") for cells in CELLS if cells <= options.most
     ]
     rows = []
     for what, cells in track(cases, "measuring"):
@@ -58,7 +58,7 @@ def cost(what: str, cells: int, repeats: int) -> tuple[float, float]:
     if what == "training":
         spent = [training(cells) for _ in range(repeats)]
     else:
-        config = preset("paper" if what == "csi task" else "office")
+        config = preset("paper" if what == "csi task" else "classic")
         step = measures.stepper(OfficeVecEnv(cells, kinematic(config)))
         (times,) = measures.in_turn([lambda: step(_SLOTS)], repeats)
         spent = [time / _SLOTS for time in times]
@@ -75,8 +75,8 @@ def kinematic(config: Config) -> Config:
 
 
 def training(cells: int) -> float:
-    """Seconds a slot, environment and update, of a federation of the office preset."""
-    config = preset("office")
+    """Seconds a slot, environment and update, of a federation of the classic preset."""
+    config = preset("classic")
     config = replace(
         config,
         task=replace(config.task, slots=_SLOTS),

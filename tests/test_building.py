@@ -12,7 +12,7 @@ from mjris.eval.building import band_plan, leakage_table, leakage_w, storey_heig
 from mjris.eval.floormap import floor_map
 from mjris.simulation.simulator import Simulator
 
-OFFICE = preset("office")
+OFFICE = preset("classic")
 FOUR_FLOORS = replace(OFFICE, federation=replace(OFFICE.federation, num_cells=4))
 AP = np.array([3.0, 4.0, 2.6])
 

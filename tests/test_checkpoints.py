@@ -15,7 +15,7 @@ SCENES, SEED = 2, 5
 @pytest.fixture
 def runs(tmp_path):
     """Two run folders; the first one was stopped before its last, shorter round."""
-    office = preset("office")
+    office = preset("classic")
     made = replace(
         office,
         world=replace(office.world, layout="clinic"),

@@ -16,7 +16,7 @@ from mjris.config import (
     w_to_dbm,
 )
 
-PRESETS = ["paper", "office", "demo"]
+PRESETS = ["paper", "office", "demo", "classic"]
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -42,7 +42,7 @@ def write_run(folder, rates, config):
 
 @pytest.fixture
 def runs(tmp_path):
-    config = preset("office")
+    config = preset("classic")
     return [
         write_run(tmp_path / "a", [(1, 3), (2, 6)], config),
         write_run(tmp_path / "b", [(5, 5), (0, 2), (9, 9)], config),
@@ -70,7 +70,7 @@ def test_a_metric_is_the_mean_over_cells_of_the_episodes_that_all_runs_have(runs
 
 
 def test_runs_without_episodes_are_one_sentence(runs, tmp_path):
-    empty = write_run(tmp_path / "c", [], preset("office"))
+    empty = write_run(tmp_path / "c", [], preset("classic"))
     with pytest.raises(ConfigError, match=r"c/metrics\.csv: has no episodes: train for a round at least$"):
         read_metric([*runs, empty], "sum_rate_mbps")
     (empty / "metrics.csv").unlink()
@@ -127,7 +127,7 @@ def test_a_band_is_drawn_over_several_seeds_only(runs, judged, figures, tmp_path
 
 
 def config(**task):
-    office = preset("office")
+    office = preset("classic")
     return replace(office, world=replace(office.world, layout="clinic"), task=replace(office.task, slots=SLOTS, **task))
 
 

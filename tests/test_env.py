@@ -41,13 +41,13 @@ def changed(base: Config, **fields) -> Config:
     return base
 
 
-OFFICE = preset("office")
+OFFICE = preset("classic")
 TASK = Task(changed(OFFICE, motion="displacement", phase_control="elements", power_reference="even"))
 QOS_TASKS = [Task(changed(OFFICE, scheme=scheme)) for scheme in ("noma", "oma")]
 
 
 @pytest.mark.parametrize("scheme", ["noma", "oma"])
-@pytest.mark.parametrize("name", ["paper", "office", "demo"])
+@pytest.mark.parametrize("name", ["paper", "office", "demo", "classic"])
 def test_checkers_of_gymnasium_and_sb3(name, scheme):
     env = OfficeEnv(changed(preset(name), scheme=scheme))
     with warnings.catch_warnings():
@@ -75,7 +75,7 @@ def test_made_by_gymnasium_with_everything_in_info():
         assert np.isfinite(float(reward))
 
 
-@pytest.mark.parametrize(("name", "processes"), [("paper", 1), ("office", 1), ("office", 2)])
+@pytest.mark.parametrize(("name", "processes"), [("paper", 1), ("classic", 1), ("classic", 2)])
 def test_vec_env_is_single_environments_side_by_side(name, processes):
     config = changed(preset(name), slots=4, difference_factor=0.5, phases="random" if name == "paper" else "learned")
     vec = OfficeVecEnv(3, config, processes)

@@ -31,7 +31,7 @@ POLICIES = [
 
 
 def config(**radio) -> Config:
-    office = preset("office")
+    office = preset("classic")
     return replace(
         office,
         world=replace(office.world, layout="clinic"),

@@ -10,7 +10,7 @@ from mjris.simulation.task import Task
 from mjris.world.office import PERSON_RADIUS_M
 
 SEED = 5
-OFFICE = preset("office")
+OFFICE = preset("classic")
 
 
 def config(**task):

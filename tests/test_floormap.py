@@ -28,7 +28,7 @@ USER_M, PANEL_M = 1.1, 1.5
 def config(tmp_path_factory):
     path = tmp_path_factory.mktemp("layouts") / "room.toml"
     path.write_text(ROOM)
-    office = preset("office")
+    office = preset("classic")
     return replace(office, world=replace(office.world, layout=str(path), num_users=2), seed=3)
 
 

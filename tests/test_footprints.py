@@ -102,7 +102,7 @@ def test_standing_still_is_free_outside_and_not_inside():
 @pytest.mark.parametrize("name", layout_names())
 def test_footprints_of_a_layout_are_its_bricks_and_walls(name):
     layout = load_layout(name)
-    solid = footprints([build(preset("office"), layout)], 0.0, PERSON_HEIGHT_M)
+    solid = footprints([build(preset("classic"), layout)], 0.0, PERSON_HEIGHT_M)
     rectangles = []
     for obstacle in layout.obstacles:
         turn = complex(math.cos(obstacle.yaw), math.sin(obstacle.yaw))

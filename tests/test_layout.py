@@ -228,7 +228,7 @@ def test_a_plan_of_many_walls_with_joints(tmp_path):
     made = load(tmp_path, ", ".join(rows + across), head, kinds)
     assert len(made.obstacles) == 48
     # From the corridor through the joint of a long wall and one across: both are counted.
-    sight = Sight([build(preset("office"), made)])
+    sight = Sight([build(preset("classic"), made)])
     start, end = np.array([[[4.5, 4.5, 1.5]]]), np.array([[[7.5, 0.5, 1.5]]])
     joint = start + (end - start) * 0.375  # at (5.6, 3.0): the long wall alone, then the one across at x = 6
     assert joint[0, 0, 1] == pytest.approx(3.0)

@@ -12,7 +12,7 @@ from mjris.learn.run import train
 
 def config() -> Config:
     """Two users in an open office; action zero stays where it is, and whoever follows the map goes elsewhere."""
-    office = preset("office")
+    office = preset("classic")
     return replace(
         office,
         seed=2,

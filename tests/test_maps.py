@@ -19,7 +19,7 @@ from mjris.eval.floormap import floor_map
 from mjris.show.maps import FIELDS, draw_field, draw_office, write_maps
 from mjris.simulation.simulator import Simulator
 
-CONFIG = preset("office")
+CONFIG = preset("classic")
 COARSE = ["--resolution-m", "1", "--place-resolution-m", "1"]
 
 

@@ -120,7 +120,7 @@ def test_a_large_panel_weighs_as_much_as_a_small_one_and_its_elements_are_for_th
 
 
 def test_neighbouring_elements_are_half_a_wavelength_apart():
-    config = preset("office")
+    config = preset("classic")
     model = build(config, load_layout("office")).scenery
     pos = np.stack([model.geom(f"rover/panel/element{n}").pos for n in range(16)])
     half = config.radio.wavelength_m / 2

@@ -40,7 +40,7 @@ obstacle = [{ kind = "cabinet", at = [9.0, 6.0] }]
 def config(tmp_path_factory):
     path = tmp_path_factory.mktemp("layouts") / "three.toml"
     path.write_text(PANELS % SECOND + PLAN)
-    made = preset("office")
+    made = preset("classic")
     return replace(made, world=replace(made.world, layout=str(path)), seed=3)
 
 

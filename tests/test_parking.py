@@ -27,7 +27,7 @@ def config(tmp_path_factory) -> Config:
     """A small room that one heading does not serve alike everywhere, with two people in it."""
     layout = tmp_path_factory.mktemp("layouts") / "room.toml"
     layout.write_text(ROOM)
-    office = preset("office")
+    office = preset("classic")
     return replace(
         office,
         world=replace(office.world, layout=str(layout), num_users=2),

@@ -16,7 +16,7 @@ CELLS = 3
 
 
 def simulator(cells: int = CELLS, **world) -> Simulator:
-    config = preset("office")
+    config = preset("classic")
     return Simulator(replace(config, world=replace(config.world, layout="clinic", **world)), cells)
 
 
@@ -53,9 +53,11 @@ def test_unreachable_nodes_are_never_best():
 @pytest.mark.parametrize("horizon", [3, 8])
 def test_goals_are_those_of_a_search_over_all_ways(horizon):
     """Against sums along whole ways, walked one by one."""
-    made = simulator(1)
+    base = preset("classic")
+    task = replace(base.task, horizon_slots=horizon)
+    made = Simulator(replace(base, world=replace(base.world, layout="clinic"), task=task), 1)
     ways, here, reach = made.terrain.paths, made.world.fleet.xy, horizon * made.config.world.max_speed_mps
-    goal, promised = best_goals(made, horizon)
+    goal, promised = best_goals(made)
     totals = {tuple(here[0]): reach * place_values(made, here[:, None])[0, 0]}
     for node in np.flatnonzero(ways.distance_to_nodes(here)[0] < reach).tolist():
         _, at, _ = shortest(ways.graph, 0, *first_nodes(ways.graph, 0, *here[0]), np.array([node]), np.zeros(1))

@@ -10,7 +10,7 @@ from mjris.radio.beams import cluster_beams
 from mjris.radio.fading import complex_normal
 from mjris.radio.serving import System
 
-RADIO = preset("office").radio
+RADIO = preset("classic").radio
 CLUSTERS = np.array([[0, 1], [2, 3]])
 QOS_BPS = 10e3
 

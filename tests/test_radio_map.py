@@ -10,7 +10,7 @@ from mjris.planning.radio_map import _link_gains, penalised
 from mjris.simulation.outlook import _ground, bare_values, best_goals, node_values, place_values
 from mjris.simulation.simulator import Simulator
 
-OFFICE = preset("office")
+OFFICE = preset("classic")
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def test_who_stands_still_is_judged_in_the_same_slots(cases):
 
 def test_scenes_are_independent_episodes_of_the_default_office():
     config = reference.Study().config
-    assert config == replace(preset("office"), radio=replace(preset("office").radio, difference_factor=1.0))
+    assert config == replace(preset("classic"), radio=replace(preset("classic").radio, difference_factor=1.0))
     assert reference.Study().scenes >= 200
 
 

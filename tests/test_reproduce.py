@@ -28,7 +28,7 @@ TINY = replace(
     scenes=2,
     slots=55,
     every=50,
-    episodes={"office": 4, "paper": 4},
+    episodes={"classic": 4, "paper": 4},
     judged=4,
     elements=(4, 16),
 )
@@ -42,7 +42,7 @@ def test_a_figure_goes_the_whole_way_once(tmp_path: Path, capsys, monkeypatch):
     table = pd.read_csv(out / "elements.csv")
     agents: Any = table[table.seeds == 2]
     assert len(agents) == 2 * 2 * 2  # presets, schemes, panels
-    assert set(table.preset) == {"office", "paper"}
+    assert set(table.preset) == {"classic", "paper"}
     assert (agents.collisions == 0).all()
     assert (agents.sum_rate_mbps_low < agents.sum_rate_mbps).all()
     assert (agents.sum_rate_mbps < agents.sum_rate_mbps_high).all()
@@ -59,7 +59,7 @@ def test_a_figure_goes_the_whole_way_once(tmp_path: Path, capsys, monkeypatch):
     assert {config.radio.num_elements for config in trained} == {4, 16}
     rates = agents.set_index(["preset", "scheme", "x"]).sum_rate_mbps
     said = pd.read_csv(out / "claims.csv").set_index("preset")
-    for name in ("office", "paper"):
+    for name in ("classic", "paper"):
         ratio = 100 * (rates[name, "oma", 16] / rates[name, "noma", 4] - 1)
         assert said.measured[name] == pytest.approx(ratio, rel=1e-3)
 
@@ -112,7 +112,7 @@ def test_claims_are_of_means_over_seeds_and_scenes_and_their_intervals_of_both()
     scenes = rng.uniform(1.0, 4.0, 32)
     seeds = 1 + 0.01 * rng.standard_normal(5)
     rows = [
-        {"figure": "difference_factor", "preset": "office", "scheme": "noma", "x": 60.0}
+        {"figure": "difference_factor", "preset": "classic", "scheme": "noma", "x": 60.0}
         | {"curve": curve, "seed": seed, "sum_rate_mbps": gain * luck * scenes}
         for curve, gain in (("DF = 0", 1.1), ("DF = 1", 1.0), ("one cell", 1.0))
         for seed, luck in enumerate(seeds if curve == "DF = 0" else np.ones(5))
@@ -160,14 +160,14 @@ def test_a_claim_names_what_stands_behind_it_and_its_printed_value():
         assert claim.behind
         if claim.value is not None and claim.printed.endswith("%"):
             assert float(claim.printed.removesuffix(" %").replace("−", "-")) == claim.value
-    office, paper = (claims.setting(name) for name in ("office", "paper"))
+    office, paper = (claims.setting(name) for name in ("classic", "paper"))
     assert "16 cosine elements, pan auto" in office
     assert "16 isotropic elements" in paper
     assert "−30 dBm/MHz of noise" in office
 
 
 def test_beside_every_sum_rate_stands_who_gets_it():
-    point = {"preset": "office", "curve": "mobile RIS", "scheme": "noma", "user_qos_percent": 60.0, "jain": 0.5}
+    point = {"preset": "classic", "curve": "mobile RIS", "scheme": "noma", "user_qos_percent": 60.0, "jain": 0.5}
     spread = {f"{score}{end}": 2.0 for score in ("sum_rate_mbps", "qos_percent") for end in ("", "_low", "_high")}
     point |= {**spread, "user_rate_p5_kbps": 0.0, "superposing_percent": 22.0}
     points = [{**point, "x": 40.0}, {**point, "x": 20.0, "jain": 0.1}, {**point, "curve": "planner", "jain": np.nan}]
@@ -210,7 +210,7 @@ def test_a_federation_of_unlike_cells_is_misled():
 
 def test_the_sensitivity_changes_one_parameter_at_a_time(tmp_path: Path):
     as_it_is, *others = sensitivity.variants(TINY, tmp_path)
-    assert as_it_is.config == curves.base("office", TINY)
+    assert as_it_is.config == curves.base("classic", TINY)
     changed = set()
     for variant in others:
         differing = {
@@ -229,7 +229,7 @@ def test_the_sensitivity_changes_one_parameter_at_a_time(tmp_path: Path):
 
 
 def test_headline_gains_are_of_closed_forms_in_the_same_scenes(tmp_path: Path):
-    config = replace(sensitivity.variants(TINY, tmp_path)[0].config, task=replace(preset("office").task, slots=5))
+    config = replace(sensitivity.variants(TINY, tmp_path)[0].config, task=replace(preset("classic").task, slots=5))
     scores = sensitivity.headline(config, TINY.scenes, tmp_path)
     assert set(scores) == {*sensitivity.CASES, "judged"}
     closed = play(config, reference_controls(), TINY.scenes, sensitivity.SCENE_SEED)

@@ -21,7 +21,7 @@ from mjris.show.trajectory import plot_trajectory, shadow
 from mjris.show.video import link_lines, snapshot, write_video
 from mjris.simulation.task import Task
 
-CONFIG = preset("office")
+CONFIG = preset("classic")
 SLOTS = 3
 
 

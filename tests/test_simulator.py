@@ -461,7 +461,7 @@ def test_a_fixed_panel_faces_the_room_for_good_and_a_turning_one_its_users(pan):
 
 
 def quiet(**hardware) -> Simulator:
-    made = preset("office")
+    made = preset("classic")
     return Simulator(replace(made, radio=replace(made.radio, surface=Hardware(**hardware)), seed=4), 3)
 
 

@@ -280,7 +280,7 @@ def test_a_short_run_of_the_papers_agents_agrees():
 
 
 def office_config(**changes) -> Config:
-    office = preset("office")
+    office = preset("classic")
     federation = {"num_cells": 2, "episodes": 2, "round_episodes": 1} | changes
     return replace(
         office,

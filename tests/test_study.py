@@ -83,7 +83,7 @@ def with_seed(config: Config, seed: int, **radio: object) -> Config:
 
 
 def test_stacks_hold_like_runs_and_busy_all_cores():
-    base = replace(preset("office"), federation=replace(preset("office").federation, num_cells=3))
+    base = replace(preset("classic"), federation=replace(preset("classic").federation, num_cells=3))
     runs = [with_seed(base, seed) for seed in range(5)]
     assert _stacks(runs, 1) == [runs]
     assert sorted(len(stack) for stack in _stacks(runs, 2)) == [2, 3]

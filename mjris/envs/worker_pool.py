@@ -39,7 +39,7 @@ class Part(NamedTuple):
     observation: NDArray[np.float32]
     """[E, D]"""
     reward: NDArray[np.floating]
-    """[E] [Mb/s]"""
+    """[E], in `Task.rate_unit_bps`"""
     columns: Columns
 
     def arrays(self) -> list[NDArray[Any]]:

@@ -71,7 +71,7 @@ class Task:
         return Outcome(self.observe(), self.reward(slot) + shaping, slot)
 
     def _potential(self) -> FloatArray | float:
-        """Potential of the scene [E], in the unit of rewards, or zero, for rewards shaped as in Ng, Harada and Russell (1999)."""
+        """Potential of the scene [E] in the unit of rewards, or zero: shaping as in Ng, Harada and Russell (1999)."""
         task, simulator = self.config.task, self.simulator
         weight = task.map_potential
         if weight == 0:

@@ -7,7 +7,7 @@ from typing import Any
 from mjris.config import Config, preset
 from mjris.eval import parking
 
-PRESETS = ("office", "paper")
+PRESETS = ("classic", "paper")
 SCHEMES = ("noma", "oma")
 BASE = "mobile RIS"
 """The curve of a preset as it is, for one cell: NOMA, dynamic order, 16 elements, 4 antennas, 20 dBm, α = 3e-4."""
@@ -54,9 +54,9 @@ SCALES = {
         scenes=8,
         slots=100,
         every=10,
-        episodes={"office": 10, "paper": 10},
-        federated={"office": 15, "paper": 15},
-        rounds={"office": 5, "paper": 5},
+        episodes={"classic": 10, "paper": 10},
+        federated={"classic": 15, "paper": 15},
+        rounds={"classic": 5, "paper": 5},
         judged=5,
         learning_rates=(1e-3, 3e-4, 1e-4),
         elements=(4, 8, 16, 32),
@@ -67,9 +67,9 @@ SCALES = {
         scenes=32,
         slots=100,
         every=10,
-        episodes={"office": 40, "paper": 40},
-        federated={"office": 60, "paper": 80},
-        rounds={"office": 10, "paper": 20},
+        episodes={"classic": 40, "paper": 40},
+        federated={"classic": 60, "paper": 80},
+        rounds={"classic": 10, "paper": 20},
         judged=20,
         learning_rates=(1e-3, 5e-4, 3e-4, 1e-4, 1e-5),
         elements=(4, 8, 16, 32),

@@ -29,7 +29,7 @@ def draw_path(scale: Scale, runs: Path, path: Path) -> None:
     """Write the ways of the first seed's agents, over the worth of every place as the episode begins."""
     configs = {name: replace(base(name, scale), seed=scale.seeds[0]) for name in PRESETS}
     folders = train(list(configs.values()), runs)
-    scene = shadowed_scene(configs["office"], scale.scenes)
+    scene = shadowed_scene(configs["classic"], scale.scenes)
     with rc_context({**STYLE, "hatch.linewidth": 0.4, "font.size": 6}):
         sheet = Figure(figsize=(WIDTH_IN, 3.6), dpi=300, layout="compressed")
         panels = sheet.subplots(1, len(PRESETS), sharey=True)

@@ -53,7 +53,7 @@ class Variant:
 
 
 def variants(scale: Scale, layouts: Path) -> list[Variant]:
-    """The `office` preset, and each open parameter with other values; layouts of their own go to a folder."""
+    """The `classic` preset, and each open parameter with other values; layouts of their own go to a folder."""
     changes: dict[str, Mapping[str, Mapping[str, Any]]] = {
         _AS_IS: {},
         "AP place: north-west corner": {"world": {"layout": _with_ap(layouts, "corner", (0.4, 19.6, 2.6), 315.0)}},
@@ -87,7 +87,7 @@ def variants(scale: Scale, layouts: Path) -> list[Variant]:
     found = []
     for name, sections in changes.items():
         parameter, _, value = name.partition(": ")
-        config = base("office", scale)
+        config = base("classic", scale)
         config = replace(config, **{key: replace(getattr(config, key), **fields) for key, fields in sections.items()})
         found.append(Variant(parameter, value, config))
     return found
@@ -96,7 +96,7 @@ def variants(scale: Scale, layouts: Path) -> list[Variant]:
 def measure(scale: Scale, runs: Path) -> pd.DataFrame:
     """A row for every variant and gain: value, low and high [%], and the commit that judged.
 
-    The closed forms of the `office` preset, which its agents come within some percent of, tell what an environment is
+    The closed forms of the `classic` preset, which its agents come within some percent of, tell what an environment is
     worth. They learn nothing, so that intervals are over scenes.
     """
     plain = variants(scale, runs / "layouts")
