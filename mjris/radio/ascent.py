@@ -100,6 +100,9 @@ def _ascend_all(
         system.selects,
         system.shares_power,
     )
+    # There is less to win then, and less to miss.
+    choices = min(effort.choices, effort.finalists)
+    fewer = Effort(choices, effort.variants, effort.screening, effort.finalists, effort.steps, effort.sweeps)
     no_order = system.clusters * 0 - 1
     for cell in range(len(phases)):
         over = parts(incident[cell], reflected[cell])
@@ -114,7 +117,7 @@ def _ascend_all(
             met, phases[cell] = _searched(slot, surface, aligned, random[cell], effort)
         if met < 0:
             slot = Slot(alone, unstepped, direct[cell], over, weights[cell], no_order)
-            _, phases[cell] = _searched(slot, surface, aligned, random[cell], effort)
+            _, phases[cell] = _searched(slot, surface, aligned, random[cell], fewer)
     return phases
 
 
