@@ -4,10 +4,12 @@ Imports nothing of the package: all else takes its numbers from here.
 """
 
 from mjris.config.errors import ConfigError, validated
+from mjris.config.fields import Positive
 from mjris.config.files import from_dict, load
 from mjris.config.link_tables import LINK_TABLES
 from mjris.config.presets import preset
-from mjris.config.schema import Agent, Config, Federation, Hardware, Positive, Radio, Task, World, dbm_to_w, w_to_dbm
+from mjris.config.radio import Hardware, Knowledge, Radio, dbm_to_w, w_to_dbm
+from mjris.config.schema import Agent, Config, Federation, Task, World
 
 __all__ = [
     "LINK_TABLES",
@@ -16,6 +18,7 @@ __all__ = [
     "ConfigError",
     "Federation",
     "Hardware",
+    "Knowledge",
     "Positive",
     "Radio",
     "Task",

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from mjris.config.errors import ConfigError
-from mjris.config.schema import Agent, Config, Federation, Radio, Task, World
+from mjris.config.radio import Radio
+from mjris.config.schema import Agent, Config, Federation, Task, World
 
 _THERMAL_DBM_PER_MHZ = -107.0
 """−174 dBm/Hz and a noise figure of 7 dB."""

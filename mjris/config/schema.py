@@ -3,19 +3,12 @@
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter, model_validator
+from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
 from mjris.config.errors import ConfigError, plain_errors
-from mjris.config.link_tables import refusal
-
-_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
-
+from mjris.config.fields import STRICT, Count, NonNegative, Positive
+from mjris.config.radio import Radio
 
 _CAUTION = 0.85
 """Share of what the wheels can brake at that is counted on: 15 % are for leaning masts and long physics steps."""
@@ -24,7 +17,7 @@ _SERVO_M = 0.01
 
 
 @plain_errors
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class World:
     """The office, the rover and the people."""
 
@@ -89,102 +82,7 @@ class World:
 
 
 @plain_errors
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
-class Hardware:
-    """What keeps the panels' elements from being ideal; by default nothing."""
-
-    phase_bits: Annotated[int, Field(ge=1, le=8)] | None = None
-    """b: elements take the nearest of 2^b phases, 0 among them; any by default."""
-    least_amplitude: Fraction = 1.0
-    """Least modulus of a reflection coefficient over the phase, as a share of the largest; measured was 0.2."""
-    amplitude_steepness: NonNegative = 1.6
-    """How narrow the dip around that phase is."""
-    amplitude_offset_deg: float = 77.4
-    """The dip lies 90° before this phase [°]; 77.4 is 0.43 π."""
-    phase_noise_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
-    """Standard deviation of what elements miss their phases by, anew whenever they are set [°]."""
-    dead_share: Fraction = 0.0
-    """Share of the elements that reflect nothing, which are others in every cell and stay so."""
-
-
-@plain_errors
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
-class Radio:
-    """Links, arrays and multiple access."""
-
-    link_table: str = "paper"
-    """What links cost, by the name of a published model: paper (ITU-R, as in the paper) or inh (3GPP InH-Office)."""
-    carrier_hz: Positive = 2e9
-    """f_c [Hz], where the link table holds."""
-    bandwidth_hz: Positive = 1e6
-    """B, the band of one cell [Hz]."""
-    noise_dbm_per_mhz: Annotated[float, Field(ge=-200, le=50)] = -30.0
-    """Noise power density [dBm/MHz]."""
-    tx_power_dbm: Annotated[float, Field(ge=0, le=60)] = 20.0
-    """P_max, all that the AP transmits [dBm]."""
-    num_antennas: Count = 4
-    """M, antennas of the AP."""
-    panel_rows: Count = 4
-    """Rows of reflecting elements of the rover's panel."""
-    panel_cols: Count = 4
-    """Columns of reflecting elements of the rover's panel."""
-    element_pattern: Literal["isotropic", "cosine"] = "cosine"
-    """isotropic: the paper's; cosine: gain 2(n+1)cos^n in front of the panel, nothing behind it."""
-    element_exponent: NonNegative = 0.57
-    """n of the cosine pattern; 0.57 gives 4.97 dBi at boresight."""
-    element_amplitude: Fraction = 1.0
-    """β, the largest modulus of an element's reflection coefficient."""
-    surface: Hardware = Hardware()
-    """What the elements are like beyond that."""
-    rician_k_db: Annotated[float, Field(ge=-30, le=60)] = 7.0
-    """Rician K-factor of links in line of sight [dB]; blocked links are Rayleigh."""
-    fading_memory: Fraction = 0.0
-    """Correlation of the diffuse fading from slot to slot; 1 is frozen for the episode."""
-    difference_factor: Fraction = 0.0
-    """DF: diffuse fading is the same in every cell at 0, independent at 1."""
-    scheme: Literal["noma", "oma"] = "noma"
-    """Multiple access."""
-    oma_selection: bool = False
-    """Whether the scheduler of OMA may select users: where not all have QoS and that gives more, a cluster's bands and
-    power go to its strongest user, as with NOMA its power does."""
-    num_clusters: Count = 2
-    """V, clusters of users."""
-    cluster_power: Literal["equal", "shared"] = "equal"
-    """equal: the paper's, no cluster has more than P_max/V; shared: what one leaves of P_max another may have, where
-    budgets are searched (task.ascent_steps)."""
-    decoding_order: Literal["dynamic", "static"] = "dynamic"
-    """dynamic: by the gains of each slot; static: by those of the episode's first slot."""
-
-    @model_validator(mode="after")
-    def _link_is_known(self) -> "Radio":
-        reason = refusal(self.link_table, self.carrier_hz)
-        if reason:
-            raise ValueError(reason)
-        return self
-
-    @property
-    def num_elements(self) -> int:
-        """N of the rover's panel."""
-        return self.panel_rows * self.panel_cols
-
-    @property
-    def wavelength_m(self) -> float:
-        """Carrier wavelength [m]."""
-        return 299_792_458.0 / self.carrier_hz
-
-    @property
-    def tx_power_w(self) -> float:
-        """P_max [W]."""
-        return dbm_to_w(self.tx_power_dbm)
-
-    @property
-    def noise_w(self) -> float:
-        """Noise power in the whole band [W]."""
-        return dbm_to_w(self.noise_dbm_per_mhz) * self.bandwidth_hz / 1e6
-
-
-@plain_errors
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class Task:
     """What the agent sees, decides and is rewarded for."""
 
@@ -230,7 +128,7 @@ class Task:
 
 
 @plain_errors
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class Agent:
     """DDPG and its networks."""
 
@@ -267,7 +165,7 @@ class Agent:
 
 
 @plain_errors
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class Federation:
     """Cells and how their agents are merged."""
 
@@ -288,7 +186,7 @@ class Federation:
 
 
 @plain_errors
-@dataclass(frozen=True, kw_only=True, config=_STRICT)
+@dataclass(frozen=True, kw_only=True, config=STRICT)
 class Config:
     """Everything that determines a run."""
 
@@ -317,6 +215,11 @@ class Config:
                 "agent.discount: 1.0 is not allowed: with task.end time_limit the value of every last observation is "
                 "added to that of the slots before, and at 1 this has no end; it must be less, or task.end terminal"
             )
+        if self.radio.knowledge.age_s > self.world.slot_s:
+            raise ValueError(
+                f"radio.knowledge.age_s: {self.radio.knowledge.age_s} is not allowed: channels are estimated at least "
+                f"once a slot, and world.slot_s is {self.world.slot_s}"
+            )
         updates, ticks = self.task.phase_updates_per_slot, self.world.ticks_per_slot
         if updates and ticks % updates:
             raise ValueError(
@@ -343,13 +246,3 @@ class Config:
 
 ADAPTER = TypeAdapter(Config)
 """Configs from and to plain values."""
-
-
-def dbm_to_w(power_dbm: float) -> float:
-    """Power in dBm to power in [W]."""
-    return 10 ** (power_dbm / 10) / 1e3
-
-
-def w_to_dbm(power_w: float) -> float:
-    """Power in [W] to power in dBm."""
-    return 10 * math.log10(power_w * 1e3)

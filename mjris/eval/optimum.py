@@ -48,8 +48,19 @@ def best_known(
     `ascended_phases` with far more starts and steps than a task can afford, not a proven optimum; `mjris.eval.bound`
     has what nothing can exceed.
     """
+    return search(System.of(radio, clusters, qos_bps), Surface.of(radio), channels, rng, order, effort)
+
+
+def search(
+    system: System,
+    surface: Surface,
+    channels: Channels,
+    rng: np.random.Generator,
+    order: IntArray | None = None,
+    effort: Effort = EFFORT,
+) -> Optimum:
+    """`best_known` for a system and a surface."""
     batch, links = channels.direct.shape[:-2], flattened(channels)
-    system, surface = System.of(radio, clusters, qos_bps), Surface.of(radio)
     slots, elements = links.incident.shape[:2]
     given = None if order is None else flat(order, 2)
     random = rng.uniform(-np.pi, np.pi, (slots, _RANDOM_STARTS, elements))

@@ -12,6 +12,7 @@ from mjris.eval.bound import upper_bound
 from mjris.eval.policies import Policy
 from mjris.planning.radio_map import penalised
 from mjris.radio.powers import best_powers
+from mjris.radio.serving import rates as rates_of
 from mjris.simulation.constraints import NAMES
 from mjris.simulation.streams import CellId
 from mjris.simulation.task import Task
@@ -70,7 +71,8 @@ def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: boo
         powers.append(controls.powers_w)
         direct.append([part.direct for part in slot.channels])
         if bounded:
-            bounds.append(np.mean([upper_bound(part, simulator.clusters, radio) for part in slot.channels], 0))
+            bound_bps = [upper_bound(part, simulator.clusters, radio) for part in slot.channels]
+            bounds.append(simulator.net_share * np.mean(bound_bps, 0))
         met.append(slot.qos_met.all(-1))
         collisions += int(slot.collisions.sum())
         clearance = min(clearance, float(slot.clearance_m.min()))
@@ -79,8 +81,8 @@ def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: boo
     # Slots, and their parts where phases and powers are held; then powers without RIS are, too.
     bare, served = np.array(direct), np.stack(rates)
     hold = bare.shape[1] // max(config.task.phase_updates_per_slot, 1)
-    bare_powers = best_powers(simulator.system, bare[:, ::hold]).repeat(hold, 1)
-    bare_rates = simulator.rates(bare, bare_powers)
+    bare_powers = best_powers(simulator.bare_system, bare[:, ::hold]).repeat(hold, 1)
+    bare_rates = rates_of(simulator.bare_system, bare, bare_powers)
     return Played(
         sum_rate_bps=served.sum(-1).mean(0),
         bare_bps=bare_rates.sum(-1).mean((0, 1)),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.config import Config
-from mjris.eval.optimum import best_known
+from mjris.eval.optimum import search
 from mjris.radio.links import Channels
 from mjris.radio.powers import best_powers
 from mjris.simulation.outlook import best_goals
@@ -123,11 +123,10 @@ def planner(seed: int) -> Policy:
     rng = generator(seed, Purpose.SEARCH)
 
     def controls(task: Task) -> Controls:
-        config, simulator = task.config, task.simulator
+        simulator = task.simulator
 
         def tune(channels: Channels) -> tuple[FloatArray, FloatArray]:
-            qos_bps, order = config.task.qos_bps, simulator.order
-            best = best_known(channels, simulator.clusters, config.radio, qos_bps, rng, order)
+            best = search(simulator.system, simulator.surface, channels, rng, simulator.order)
             return best.phases_rad, best.powers_w
 
         return Controls(planned(simulator), *tune(simulator.scene.known), retune=tune)

@@ -62,7 +62,7 @@ def radio_map(simulator: Simulator, goal: FloatArray, promised_bps: FloatArray) 
 def _geometry(simulator: Simulator) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Rovers [E, 2] [m], panels' headings [E], users [E, K, 2] [m], rooms [E, 2] [m], path losses [E, L] [dB]."""
     scene = simulator.scene
-    return scene.rover_xy, scene.panel_heading, scene.users_xy, simulator.room_m, scene.path_loss_db
+    return scene.rover_xy, scene.panel_heading, scene.known_users_xy, simulator.room_m, scene.path_loss_db
 
 
 @compiled

@@ -62,7 +62,7 @@ def best_goals(simulator: Simulator, *, walls: bool = True) -> tuple[FloatArray,
 
 def _ground(simulator: Simulator, heading_rad: float = math.nan) -> Ground:
     """What predictions for the present scene follow from."""
-    config, users_xy = simulator.config, simulator.scene.users_xy
+    config, users_xy = simulator.config, simulator.scene.known_users_xy
     receivers, arrays = np.insert(users_xy, 2, config.world.user_height_m, -1), prediction.Arrays.of(config.radio)
     return Ground(
         simulator.link_table,

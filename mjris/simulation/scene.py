@@ -27,6 +27,8 @@ class Scene:
     """Of the rover's panel [E] [rad]."""
     users_xy: FloatArray
     """[E, K, 2] [m]"""
+    known_users_xy: FloatArray
+    """Where users are taken to be [E, K, 2] [m]."""
     blockers: IntArray
     """Obstacles on every link [E, L]."""
     path_loss_db: FloatArray

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.config import Config
+from mjris.config import Config, ConfigError
 from mjris.planning.terrain import Terrain
 from mjris.radio import ascent, closed_forms, fading, links, powers, serving
 from mjris.radio.surface import Surface, effective_channel
 from mjris.radio.tables import LinkTable
 from mjris.simulation.checks import checked
 from mjris.simulation.constraints import evaluate
+from mjris.simulation.knowledge import Knowing, Places
 from mjris.simulation.scene import Retune, Scene, Slot
 from mjris.simulation.streams import CellId, Streams, first_cells
 from mjris.world import facing
@@ -59,12 +60,17 @@ class Simulator:
         """N, elements of all panels, the rover's first."""
         self.clusters = np.arange(k).reshape(radio.num_clusters, -1)
         """Users of every cluster, int [V, K/V]."""
-        self.system = serving.System.of(radio, self.clusters, config.task.qos_bps)
+        self.bare_system = serving.System.of(radio, self.clusters, config.task.qos_bps)
+        """Who is served with what where there are no panels."""
+        self.net_share = 1 - (0 if config.task.ris == "none" else _overhead(config, n))
+        """What pilots and control leave of a slot; net rates are those of so much of the band."""
+        self.system = self.bare_system._replace(bandwidth_hz=self.net_share * radio.bandwidth_hz)
         self.link_table, self.surface = LinkTable.of(radio), Surface.of(radio)
         self.links = links.Links(k, counts)
         """Which links there are: the axes [L] of the scene."""
         self.link_of = self.links.of_entries(m)
         """The links of all entries of h_d [K, M], G [N, M] and h_r [K, N]."""
+        self._knowing = Knowing(config, self.links, self.link_of, self.world.panel_sizes, self._streams)
         self._spacing_m = radio.wavelength_m / 2
         self.ap_position = np.stack([self.world.office(e).ap_position for e in range(num_cells)])
         """Centres of the APs' arrays [E, 3] [m]."""
@@ -96,7 +102,9 @@ class Simulator:
         self._diffuse[cells] = self._draw_diffuse(cells)
         self.order[cells] = -1
         self.slots[cells] = 0
-        return self.look()
+        self._knowing.draw(cells)
+        self._knowing.begin(self._places(), cells)
+        return self._look()
 
     def random_phases(self) -> FloatArray:
         """Uniform phases from each cell's stream for them [E, N] [rad]."""
@@ -125,14 +133,16 @@ class Simulator:
         if self.config.radio.fading_memory < 1:
             fresh = self._draw_diffuse(np.arange(cells))
         before, parts = self.world.fleet.xy, [self.scene]
+        self._knowing.begin(self._places())
 
         def on_tick() -> None:
             share = len(parts) / self.config.world.ticks_per_slot
-            parts.append(self._observe(self._diffuse if fresh is None else self._between(fresh, share)))
+            parts.append(self._observe(self._diffuse if fresh is None else self._between(fresh, share), share))
 
         steps = self._streams.steps(users, self.config.world.walk_scale_m)
         motion = self.world.move(displacement_m, *steps, on_tick if self.config.task.phase_updates_per_slot else None)
         sent = self._transmit(parts, phases_rad, powers_w, retune)
+        self._knowing.draw(np.arange(cells))
         self._face_panels(pan_rad)
         if fresh is not None:
             memory = self.config.radio.fading_memory
@@ -170,24 +180,32 @@ class Simulator:
         updates, ticks = self.config.task.phase_updates_per_slot, self.config.world.ticks_per_slot
         first, known = self._effective(phases_rad, parts[0])
         order = self._fix_order(known, powers_w)
-        bare_powers, bare_rates = self.reference_powers(parts[0].known.direct)
+        bare_powers, bare_rates = self._bare_powers(parts[0].known)
         if updates == 0:
             rates = self.rates(first, powers_w, self.order, known)
             if parts[0].known is not parts[0].channels:
-                bare_rates = self.rates(parts[0].channels.direct, bare_powers, known=parts[0].known.direct)
+                bare_rates = self._bare_rates(parts[0], bare_powers)
             return _Sent(rates, bare_rates, first, known, order, (parts[0].channels,))
         # The last scene is that of the next slot's beginning.
         parts = parts[:ticks]
         rates, bare_rates = np.zeros(powers_w.shape), np.zeros(powers_w.shape)
         for tick, part in enumerate(parts):
             if tick and tick % (ticks // updates) == 0:
-                bare_powers, _ = self.reference_powers(part.known.direct)
+                bare_powers, _ = self._bare_powers(part.known)
                 if retune is not None:
                     phases_rad, powers_w = retune(part.known)
             effective, promised = self._effective(phases_rad, part)
             rates += self.rates(effective, powers_w, self.order, promised) / len(parts)
-            bare_rates += self.rates(part.channels.direct, bare_powers, known=part.known.direct) / len(parts)
+            bare_rates += self._bare_rates(part, bare_powers) / len(parts)
         return _Sent(rates, bare_rates, first, known, order, tuple(part.channels for part in parts))
+
+    def _bare_powers(self, known: links.Channels) -> tuple[FloatArray, FloatArray]:
+        """Reference powers [E, K] [W] without RIS, and their promise."""
+        return powers.qos_or_sum(self.bare_system, known.direct, searched=self.config.task.ascent_steps > 0)
+
+    def _bare_rates(self, part: Scene, powers_w: FloatArray) -> FloatArray:
+        """What powers [E, K] [W] give without RIS [E, K] [bit/s]."""
+        return serving.rates(self.bare_system, part.channels.direct, powers_w, None, part.known.direct)
 
     def _between(self, fresh: ComplexArray, share: float) -> ComplexArray:
         """Diffuse fading when a share of the slot is over, on the arc to that of the next slot; its power stays one."""
@@ -260,7 +278,8 @@ class Simulator:
 
     def bisector(self, places: FloatArray) -> FloatArray:
         """Where panels at `places` [E, 2] [m] should face: the bisector of `aims`, [E] [rad]."""
-        return facing.bisector(self.aims(self.world.crowd.xy), places)
+        users_xy = self._knowing.users_xy(self.world.crowd.xy, self.room_m)
+        return facing.bisector(self.aims(users_xy), places)
 
     def aims(self, users_xy: FloatArray) -> FloatArray:
         """What panels face between [E, ., 2] [m]: users, or the room's middle for a fixed RIS, and, last, the AP."""
@@ -279,34 +298,60 @@ class Simulator:
 
     def look(self) -> Scene:
         """See the scene anew after rovers or people were placed by hand, the panels turned to their bisectors."""
+        self._knowing.begin(self._places())
+        return self._look()
+
+    def _look(self) -> Scene:
         self._face_panels()
         self.scene = self._observe(self._diffuse)
         return self.scene
 
-    def _observe(self, diffuse: ComplexArray) -> Scene:
-        """Sight, path losses and channels at the present positions, with this diffuse fading."""
-        radio, world = self.config.radio, self.world
-        panels, headings = world.panel_centres(), world.panel_headings()
-        receivers = world.receivers()
+    def _places(self) -> Places:
+        return Places(self._antennas, self.world.receivers(), self.world.panel_centres(), self.world.panel_headings())
+
+    def _observe(self, diffuse: ComplexArray, share: float = 1.0) -> Scene:
+        """Sight, path losses and channels at the present positions, with this diffuse fading.
+
+        When a `share` of the slot is over.
+        """
+        radio, world, places = self.config.radio, self.world, self._places()
+        _, receivers, panels, headings = places
         start, end = self.links.ends(self.ap_position, panels, receivers)
         blockers = world.sight.blockers(start, end, self.links.person)
         mean = links.means(self.link_table, self.links.panel, start, end, blockers, headings)
         elements = links.panel_elements(panels, headings, world.panel_sizes, self._spacing_m)
         made = links.channels(self.links, self._antennas, receivers, elements, mean, diffuse, radio.wavelength_m)
         if radio.surface.dead_share > 0:
-            made.incident[self.dead] = 0  # so that nobody knows of a path over them either
+            made.incident[self.dead] = 0
+        known_xy = self._knowing.users_xy(receivers[..., :2], self.room_m)
+        known = self._knowing.channels(made, mean, diffuse, places, known_xy, share)
+        if radio.surface.dead_share > 0:
+            known.incident[self.dead] = 0  # nobody takes a path over them for one
         return Scene(
             rover_xy=panels[:, 0, :2],
             rover_heading=world.fleet.heading,
             panel_heading=headings[:, 0],
             users_xy=receivers[..., :2],
+            known_users_xy=known_xy,
             blockers=blockers,
             path_loss_db=mean.loss_db,
             mean_gain=mean.gain,
             channels=made,
-            known=made,  # as soon as they are: CSI is perfect
+            known=known,
         )
 
     def _draw_diffuse(self, cells: IntArray) -> ComplexArray:
         """Fresh diffuse fading of some cells [n, ...]."""
         return self._streams.diffuse(cells, self._diffuse.shape[1], self.config.radio.difference_factor)
+
+
+def _overhead(config: Config, elements: int) -> float:
+    """The share of a slot that pilots for so many elements and control take. Raises `ConfigError` if that is all."""
+    known, slot_s = config.radio.knowledge, config.world.slot_s
+    share = (elements * known.pilot_s + known.control_s) / slot_s
+    if share >= 1:
+        raise ConfigError(
+            f"radio.knowledge.pilot_s: {known.pilot_s:g} is not allowed: with {elements} elements and "
+            f"radio.knowledge.control_s {known.control_s:g} nothing is left of world.slot_s {slot_s:g}"
+        )
+    return share

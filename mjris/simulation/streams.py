@@ -46,6 +46,8 @@ class Purpose(IntEnum):
     """Which elements of a cell reflect nothing."""
     PHASE_NOISE = 12
     """What a cell's elements miss their phases by."""
+    KNOWLEDGE = 13
+    """What a cell is wrong about."""
 
 
 def sequence(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:
@@ -101,13 +103,15 @@ class _OfCell(NamedTuple):
     """`Purpose.PHASES`"""
     phase_noise: np.random.Generator
     """`Purpose.PHASE_NOISE`"""
+    knowledge: np.random.Generator
+    """`Purpose.KNOWLEDGE`"""
 
 
 class Streams:
     """The random streams of E cells, seeded as their ids say."""
 
     def __init__(self, cells: Sequence[CellId]):
-        self._cells = cells
+        self._cells, self.num_cells = cells, len(cells)
         self._streams: list[_OfCell] = []
         self.seed([cell.seed for cell in cells])
 
@@ -125,6 +129,7 @@ class Streams:
                 shared=shared[seed],
                 phases=generator(seed, Purpose.PHASES, cell.number),
                 phase_noise=generator(seed, Purpose.PHASE_NOISE, cell.number),
+                knowledge=generator(seed, Purpose.KNOWLEDGE, cell.number),
             )
             for seed, cell in zip(seeds, self._cells, strict=True)
         ]
@@ -132,6 +137,10 @@ class Streams:
     def own(self, cells: IntArray) -> list[np.random.Generator]:
         """Generators of some cells alone [n]."""
         return [self._streams[e].own for e in cells]
+
+    def knowledge(self, cells: IntArray) -> list[np.random.Generator]:
+        """Generators for what some cells [n] are wrong about."""
+        return [self._streams[e].knowledge for e in cells]
 
     def part(self, cells: IntArray) -> None:
         """Let some cells go on with copies of what they have shared so far: their episodes begin apart."""
