@@ -100,7 +100,7 @@ def test_means_are_path_loss_and_pattern_of_the_panel_at_the_end(table, pattern)
     receivers, heading = rng.uniform(0, 6, (cells, 3, 3)), rng.uniform(-4, 4, (cells, 2))
     receivers[0, 0] = panels[0, 0]  # no distance at all, hence no direction
     start, end = made.ends(ap, panels, receivers)
-    obstacles = rng.integers(0, 4, start.shape[:2])
+    obstacles = rng.integers(0, 4, start.shape[:2]).astype(float)
     mean = links.means(LinkTable.of(radio), made.panel, start, end, obstacles, heading)
     for e in range(cells):
         for link in range(start.shape[1]):

@@ -182,7 +182,8 @@ def assert_places(simulator: Simulator, e: int) -> None:
     square = int(np.rint((place[0] - seen.grid.x_m) / 0.5)) * seen.grid.rows + int(
         np.rint((place[1] - seen.grid.y_m) / 0.5)
     )
-    gains = [literal.mean_gain(radio, end, panel, heading, int(seen.rows[e, i, square])) for i, end in enumerate(ends)]
+    behind = [int(seen.rows[e, i, square]) // 10 for i in range(len(ends))]
+    gains = [literal.mean_gain(radio, end, panel, heading, n) for end, n in zip(ends, behind, strict=True)]
     panels = [(radio.num_elements, gains[-1], gains[:-1])]
     reflected = scene.mean_gain[e, links.reflected].reshape(-1, users)
     incident = scene.mean_gain[e, links.incident]

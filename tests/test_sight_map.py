@@ -23,7 +23,7 @@ def seen(made: World, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Obstacles [E, P, K + 1] from places [E, K, 2] and the AP to places [E, P, 2]."""
     sight_map = Terrain(made).sight_map
     squares = np.array([[square(sight_map.grid, *place) for place in own] for own in high])
-    return np.take_along_axis(sight_map.seen(low).rows, squares[:, None], 2).swapaxes(1, 2)
+    return np.take_along_axis(sight_map.seen(low).rows / 10, squares[:, None], 2).swapaxes(1, 2)
 
 
 @pytest.mark.parametrize("options", [{}, {"layout_jitter_m": 0.3}, {"body_blockage": True}])
@@ -71,7 +71,7 @@ def test_every_number_has_a_square():
 def test_many_obstacles_are_counted_one_by_one(monkeypatch):
     made = Terrain(world(1))
     monkeypatch.setattr(made.sight_map._sight, "blockers", lambda _, end, **__: np.full(end.shape[:2], 255))
-    assert (made.sight_map.seen(np.array([[[7.0, 7.0]]])).rows[0, 0] == 255).all()
+    assert (made.sight_map.seen(np.array([[[7.0, 7.0]]])).rows[0, 0] == 2550).all()
 
 
 def test_only_what_is_asked_for_is_cast_and_once(monkeypatch):

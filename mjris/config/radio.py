@@ -72,6 +72,9 @@ class Radio:
 
     link_table: str = "paper"
     """What links cost, by the name of a published model: paper (ITU-R, as in the paper) or inh (3GPP InH-Office)."""
+    obstacles: Literal["counted", "materials"] = "counted"
+    """counted: what is in the way costs what the link table says, whatever it is made of; materials: what gets through
+    it, by material and carrier, or around it, as behind one obstacle, whichever is more."""
     carrier_hz: Positive = 2e9
     """f_c [Hz], where the link table holds."""
     bandwidth_hz: Positive = 1e6

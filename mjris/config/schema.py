@@ -56,6 +56,8 @@ class World:
     locked: it faces the rover's front."""
     body_blockage: bool = False
     """Whether people's bodies block links (never the link to their own receiver)."""
+    rover_blockage: bool = False
+    """Whether the rover's panel and mast block links (never those over its panel)."""
 
     @property
     def braking_mps2(self) -> float:

@@ -131,10 +131,11 @@ def floor_map(
 
 def links(simulator: Simulator, points: FloatArray, end: FloatArray) -> tuple[IntArray, FloatArray]:
     """Obstacles [...] and path loss [...] [dB] between points [..., 3] and one end [3] [m], in the only cell."""
-    start = points.reshape(1, -1, 3)
-    count = simulator.world.sight.blockers(start, np.broadcast_to(end, start.shape)).reshape(points.shape[:-1])
-    distance, radio = np.linalg.norm(end - points, axis=-1), simulator.config.radio
-    return count, propagation.path_loss_db(distance, count, radio.carrier_hz, radio.link_table)
+    start, world = points.reshape(1, -1, 3), simulator.world
+    ways = start, np.broadcast_to(end, start.shape)
+    count, behind = (seen.blockers(*ways).reshape(points.shape[:-1]) for seen in (world.sight, world.losses))
+    distance = np.linalg.norm(end - points, axis=-1)
+    return count.astype(np.int64), propagation.losses_db(simulator.link_table, distance, behind)
 
 
 def rate_bps(snr: FloatArray, radio: Radio) -> FloatArray:

@@ -17,6 +17,8 @@ _SQUARE_M = 0.5
 _MOST_SQUARES = 4000
 """On a floor of more of them, 1,000 m², only the AP's sight is kept: memory grows with their square."""
 _UNKNOWN = -1
+_STEPS = 10
+"""Of what is kept, in one obstacle or dB: whole numbers take a quarter of the room."""
 
 
 class Grid(NamedTuple):
@@ -36,8 +38,8 @@ class Seen(NamedTuple):
 
     grid: Grid
     rows: Counts
-    """From the squares of users and, last, the AP to all squares [E, K + 1, s]; of the AP alone on a large floor
-    [E, 1, s]."""
+    """From the squares of users and, last, the AP to all squares, in tenths [E, K + 1, s]; of the AP alone on a large
+    floor [E, 1, s]."""
     low: FloatArray
     """Users [E, K, 2] [m]."""
     low_m: float
@@ -108,7 +110,8 @@ class SightMap:
         self._filled += 1
 
     def _cast(self, cells: IntArray, start: FloatArray, end: FloatArray) -> Counts:
-        return self._sight.blockers(start, end, ids=cells).astype(np.int16)
+        obstacles = np.rint(_STEPS * self._sight.blockers(start, end, ids=cells))
+        return np.minimum(obstacles, np.iinfo(np.int16).max).astype(np.int16)
 
 
 @compiled
@@ -117,7 +120,7 @@ def write_obstacles(seen: Seen, cell: int, end: int, x: FloatArray, y: FloatArra
     row = end - (seen.low.shape[1] + 1 - seen.rows.shape[1])
     if row >= 0:
         for p in range(len(x)):
-            behind[p] = seen.rows[cell, row, square(seen.grid, x[p], y[p])]
+            behind[p] = seen.rows[cell, row, square(seen.grid, x[p], y[p])] / _STEPS
         return
     office, from_x, from_y = cell % len(seen.bricks.body), seen.low[cell, end, 0], seen.low[cell, end, 1]
     for p in range(len(x)):

@@ -30,11 +30,12 @@ class Terrain:
 
     @cached_property
     def sight_map(self) -> SightMap:
-        """Furniture between the users' and the panel's height, and to the AP; people do not count."""
+        """Furniture between the users' and the panel's height, and to the AP; people and rovers do not count."""
         world, config = self._world, self._world.config
         ap = np.stack([office.ap_position for office in world.offices])
         room = np.array(world.office(0).layout.room.size[:2])
-        return SightMap(Sight(world.offices), room, world.start, ap, config.user_height_m, config.panel_height_m)
+        sight = Sight(world.offices, in_db=world.losses_in_db)
+        return SightMap(sight, room, world.start, ap, config.user_height_m, config.panel_height_m)
 
     def way_toward(self, goal: FloatArray) -> FloatArray:
         """The next slot's displacement [E, 2] [m] on the shortest ways to `goal` [E, 2] [m], and around people."""

@@ -30,12 +30,24 @@ def db_to_linear(level_db: float) -> float:
 def path_loss_db(table: LinkTable, squared_m: float, obstacles: float) -> float:
     """Path loss [dB] over a squared distance [m²] behind so many obstacles, eqs. (PLLOS), (PLNLOS), (L).
 
-    The distance is clamped to 1 m, where the models begin.
+    The distance is clamped to 1 m, where the models begin. With materials `obstacles` are what is lost on the straight
+    way through them [dB]; more than behind one obstacle, around it, is never lost.
     """
     decades = 0.5 / math.log(10) * vectors.log(max(squared_m, 1.0))
     clear = table.clear_1m_db + table.clear_decade_db * decades
-    blocked = table.blocked_1m_db + table.blocked_decade_db * decades + table.obstacle_db * (obstacles - 1)
-    return max(clear, blocked) if obstacles > 0 else clear
+    further = 0.0 if table.materials else table.obstacle_db * (obstacles - 1)
+    blocked = max(clear, table.blocked_1m_db + table.blocked_decade_db * decades + further)
+    if table.materials:
+        blocked = min(blocked, clear + obstacles)
+    return blocked if obstacles > 0 else clear
+
+
+@inlined
+def rician_k(table: LinkTable, obstacles: float) -> float:
+    """K-factor of a link, none behind obstacles; through materials its straight path is what is left of it."""
+    if table.materials:
+        return table.rician_k * db_to_linear(-obstacles)
+    return 0.0 if obstacles > 0 else table.rician_k
 
 
 @inlined

@@ -95,11 +95,12 @@ def means(
     panel: IntArray,
     start: FloatArray,
     end: FloatArray,
-    obstacles: IntArray,
+    obstacles: FloatArray,
     heading: FloatArray,
 ) -> Means:
-    """`Means` of links [E, L] with `obstacles` in their way, for panels [L] that face `heading` [E, S] [rad].
+    """`Means` of links [E, L], for panels [L] that face `heading` [E, S] [rad].
 
+    With `obstacles` in their way, counted or in dB as the table has them.
     `start` and `end` [E, L, 3] [m] are as `Links.ends` has them.
     """
     made = Means(np.empty(obstacles.shape), np.empty(obstacles.shape), np.empty(obstacles.shape))
@@ -114,7 +115,7 @@ def means(
                 ahead = math.cos(facing) * x + math.sin(facing) * y
                 gain_db = equations.element_gain_db(table, ahead / max(math.sqrt(squared_m), 1e-12))
             made.gain[e, link] = equations.db_to_linear(gain_db - made.loss_db[e, link])
-            made.k_factor[e, link] = 0.0 if obstacles[e, link] > 0 else table.rician_k
+            made.k_factor[e, link] = equations.rician_k(table, obstacles[e, link])
     return made
 
 

@@ -19,9 +19,13 @@ def path_loss_db(
     `distance_m` [m] is clamped to 1 m, where the models begin. It and `blockers` may be plain numbers, and broadcast.
     Raises `ConfigError` for a table that is not known, and for a carrier where it does not hold.
     """
-    table = LinkTable.of(Radio(link_table=link_table, carrier_hz=carrier_hz))
-    distance, obstacles = np.broadcast_arrays(np.asarray(distance_m, np.float64), np.asarray(blockers, np.float64))
-    return _losses(table, distance.ravel(), obstacles.ravel()).reshape(distance.shape)
+    return losses_db(LinkTable.of(Radio(link_table=link_table, carrier_hz=carrier_hz)), distance_m, blockers)
+
+
+def losses_db(table: LinkTable, distance_m: ArrayLike, obstacles: ArrayLike) -> FloatArray:
+    """`path_loss_db` by a table, with obstacles as it has them: counted, or in dB."""
+    distance, behind = np.broadcast_arrays(np.asarray(distance_m, np.float64), np.asarray(obstacles, np.float64))
+    return _losses(table, distance.ravel(), behind.ravel()).reshape(distance.shape)
 
 
 def element_gain(radio: Radio, cosine: ArrayLike) -> FloatArray:

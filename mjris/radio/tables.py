@@ -18,7 +18,9 @@ class LinkTable(NamedTuple):
     """The same behind one obstacle."""
     blocked_decade_db: float
     obstacle_db: float
-    """What every further obstacle adds [dB]."""
+    """What every further obstacle adds [dB], if they are counted."""
+    materials: bool
+    """Whether what is in the way is told in dB, and not counted."""
     rician_k: float
     """Of links in sight, linear."""
     front_only: bool
@@ -44,6 +46,7 @@ class LinkTable(NamedTuple):
             at_1_m(source.blocked) + source.first_obstacle_db,
             source.blocked.distance_db,
             source.further_obstacle_db,
+            radio.obstacles == "materials",
             10 ** (radio.rician_k_db / 10),
             cosine,
             # 2(n+1) cos^n radiates all of the power (SimRIS: n = 0.57).

@@ -317,8 +317,11 @@ class Simulator:
         radio, world, places = self.config.radio, self.world, self._places()
         _, receivers, panels, headings = places
         start, end = self.links.ends(self.ap_position, panels, receivers)
-        blockers = world.sight.blockers(start, end, self.links.person)
-        mean = links.means(self.link_table, self.links.panel, start, end, blockers, headings)
+        ways = start, end, self.links.person, None, self.links.panel == 0
+        obstacles = blockers = world.sight.blockers(*ways)
+        if world.losses_in_db:
+            obstacles = world.losses.blockers(*ways)
+        mean = links.means(self.link_table, self.links.panel, start, end, obstacles, headings)
         elements = links.panel_elements(panels, headings, world.panel_sizes, self._spacing_m)
         made = links.channels(self.links, self._antennas, receivers, elements, mean, diffuse, radio.wavelength_m)
         if radio.surface.dead_share > 0:
@@ -333,7 +336,7 @@ class Simulator:
             panel_heading=headings[:, 0],
             users_xy=receivers[..., :2],
             known_users_xy=known_xy,
-            blockers=blockers,
+            blockers=blockers.astype(np.int64),
             path_loss_db=mean.loss_db,
             mean_gain=mean.gain,
             channels=made,

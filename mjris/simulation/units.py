@@ -23,6 +23,7 @@ def rate_unit_bps(config: Config) -> float:
 
 
 def usual_loss_db(config: Config) -> float:
-    """Path loss around which others lie [dB]: at 10 m, half way from line of sight to one obstacle."""
+    """Path loss around which others lie [dB]: at 10 m, half way from line of sight to behind one obstacle."""
     table = LinkTable.of(config.radio)
-    return (path_loss_db(table, _DISTANCE_M**2, 0) + path_loss_db(table, _DISTANCE_M**2, 1)) / 2
+    clear_db, blocked_db = (path_loss_db(table._replace(materials=False), _DISTANCE_M**2, n) for n in (0, 1))
+    return (clear_db + blocked_db) / 2

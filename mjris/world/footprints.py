@@ -191,6 +191,6 @@ def footprints(offices: list[Office], low_m: float, high_m: float) -> Footprints
 
 def _rectangles(office: Office, low_m: float, high_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Centre, half sides and axis of what stands between two heights, [B, 2] each."""
-    centre, half, axis, _ = office.boxes(GROUP_BLOCKERS, GROUP_WALLS)
+    centre, half, axis = office.boxes(GROUP_BLOCKERS, GROUP_WALLS)[:3]
     reaches = (centre[:, 2] - half[:, 2] < high_m) & (centre[:, 2] + half[:, 2] > low_m)
     return centre[reaches, :2], half[reaches, :2], axis[reaches]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjris.assets import assets_dir
-from mjris.config import Config, Radio
+from mjris.config import Config, Radio, look_loss_db
 from mjris.world.layout import Layout, Panel
 from mjris.world.panels import board_half_m, board_name
 
@@ -33,6 +33,8 @@ PERSON_HEIGHT_M = 1.75
 HULL_FLOOR_GAP_M = 0.03
 CHASSIS_HEIGHT_M = 0.2
 """Top of the rover's chassis above the floor, below which no panel reaches."""
+MAST_RADIUS_M = 0.02
+"""As rover.xml has it."""
 _AXLE_HEIGHT_M = 0.08
 _HULL_MIN_RADIUS_M = 0.25
 
@@ -70,6 +72,8 @@ class Boxes(NamedTuple):
     """Unit vectors of their own x directions [B, 2]."""
     body: NDArray[np.int64]
     """The bodies that they belong to [B]; the boxes of one follow each other."""
+    weight: FloatArray
+    """What one in the way counts [B], once for every body: one, or what is lost in it [dB]."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,16 @@ class Office:
             half=self.model.geom_size[chosen],
             axis=data.geom_xmat[chosen].reshape(-1, 3, 3)[:, :2, 0],
             body=self.model.geom_bodyid[chosen].astype(np.int64),
+            weight=np.ones(chosen.sum()),
         )
+
+    def losses(self, *groups: int) -> Boxes:
+        """The boxes of some geom groups, each a body of its own that counts what is lost in it [dB]."""
+        boxes = self.boxes(*groups)
+        looks = self.model.geom_matid[np.isin(self.model.geom_group, groups)]
+        carrier_hz = self.config.radio.carrier_hz
+        lost = np.array([look_loss_db(self.model.mat(int(look)).name, carrier_hz) for look in looks])
+        return boxes._replace(body=np.arange(len(looks)), weight=lost)
 
     @cached_property
     def bumper(self) -> slice:

@@ -14,13 +14,15 @@ from mjris.world.jitter import jittered
 from mjris.world.layout import Layout
 from mjris.world.office import (
     HULL_FLOOR_GAP_M,
+    MAST_RADIUS_M,
     PERSON_HEIGHT_M,
+    Boxes,
     Office,
     build,
     hull_height,
     hull_radius,
 )
-from mjris.world.panels import panel_sizes
+from mjris.world.panels import board_half_m, panel_sizes
 from mjris.world.people import Crowd
 from mjris.world.placement import Placement
 from mjris.world.rover import Motion
@@ -62,7 +64,16 @@ class World:
         self._body_solid = footprints(self.offices, 0.0, PERSON_HEIGHT_M)
         self.crowd = Crowd(config.world, office, self.batch, self._body_solid)
         self.fleet = make_fleet(config.world, office, self.batch, self.hull_solid, self.crowd)
-        self.sight = Sight(self.offices, self.crowd.walkers.xy if config.world.body_blockage else None)
+        self.losses_in_db = config.radio.obstacles == "materials"
+        """Whether links lose what gets lost in things, by their materials, and not by how many there are."""
+        moving = (
+            self.crowd.walkers.xy if config.world.body_blockage else None,
+            self._rover_boxes if config.world.rover_blockage else None,
+        )
+        self.sight = Sight(self.offices, *moving)
+        self.losses = Sight(self.offices, *moving, in_db=True) if self.losses_in_db else self.sight
+        """What links lose by; the very `sight` where things are counted."""
+        self._board_half_m = np.array(board_half_m(config.radio, config.radio.panel_rows, config.radio.panel_cols))
         self.on_tick: Callable[[], None] | None = None
         """Called after every tick, for those who film."""
 
@@ -76,6 +87,16 @@ class World:
         centres[:, 0] = _raised(self.fleet.xy, self.config.panel_height_m)
         centres[:, 1:] = self._fixed_centres
         return centres
+
+    def _rover_boxes(self) -> Boxes:
+        """Board and mast of every rover's panel, one body, with a leading axis of cells."""
+        board, mast = self._board_half_m, np.array([MAST_RADIUS_M, MAST_RADIUS_M, self.config.panel_height_m / 2])
+        centre = np.repeat(self.panel_centres()[:, :1], 2, 1)
+        centre[:, 1, 2] /= 2
+        facing = self.fleet.panel_heading
+        axis = np.repeat(np.stack([np.cos(facing), np.sin(facing)], -1)[:, None], 2, 1)
+        half = np.broadcast_to([board, mast], centre.shape)
+        return Boxes(centre, half, axis, np.zeros(centre.shape[:2], np.int64), np.ones(centre.shape[:2]))
 
     def panel_headings(self) -> FloatArray:
         """Directions that the panels face [E, S] [rad]."""
