@@ -187,7 +187,7 @@ class Map:
     run_dir: Annotated[Path | None, tyro.conf.arg(name="run")] = None
     """Run folder of `mjris train`, if its config is where defaults come from."""
     preset: str = "office"
-    """Where defaults come from without a run: office, paper or demo."""
+    """Where defaults come from without a run: office, demo, wifi, mmwave, paper or classic."""
     scene_seed: int = 1_000_003
     """Where people stand follows from this seed."""
     resolution_m: float = 0.1

@@ -31,9 +31,6 @@ from mjris.simulation.streams import CellId, Purpose, generator
 
 Changes = Mapping[str, Mapping[str, Any]]
 
-MMWAVE = {"carrier_hz": 28e9, "bandwidth_hz": 4e8, "tx_power_dbm": 15.0, "panel_rows": 32, "panel_cols": 32}
-SUB_6 = {"carrier_hz": 5e9, "bandwidth_hz": 8e7, "tx_power_dbm": 10.0, "panel_rows": 16, "panel_cols": 16}
-
 REGIMES: dict[str, Changes] = {
     "office": {},
     "horizon of 12 slots": {"task": {"horizon_slots": 12}},
@@ -50,14 +47,12 @@ REGIMES: dict[str, Changes] = {
     "InH-Office links": {"radio": {"link_table": "inh"}},
     "OMA": {"radio": {"scheme": "oma"}},
     "on wheels": {"world": {"drive": "wheels"}},
-    "28 GHz, 32 × 32": {"radio": MMWAVE, "task": {"qos_bps": 50e6}},
-    "5 GHz, 80 MHz, 16 × 16": {"radio": SUB_6, "task": {"qos_bps": 50e6}},
     "layout clinic": {"world": {"layout": "clinic"}},
     "layout office": {"world": {"layout": "office"}},
-    "layout office, 28 GHz": {"world": {"layout": "office"}, "radio": MMWAVE, "task": {"qos_bps": 50e6}},
-    "layout office, 5 GHz": {"world": {"layout": "office"}, "radio": SUB_6, "task": {"qos_bps": 50e6}},
 }
 """What each regime has other than the recommended preset, by section of the config."""
+PRESETS = ("wifi", "mmwave", "classic")
+"""Regimes that are presets of their own."""
 
 FAR_M = 3.0
 """What counts as far from the AP, and from the best fixed place."""
@@ -67,8 +62,8 @@ FAR_M = 3.0
 class Sweep:
     """How much is simulated."""
 
-    regimes: tyro.conf.Positional[tuple[str, ...]] = tuple(REGIMES)
-    """Which of `REGIMES`; all by default."""
+    regimes: tyro.conf.Positional[tuple[str, ...]] = (*REGIMES, *PRESETS)
+    """Which of `REGIMES` and `PRESETS`; all by default."""
     scenes: int = 100
     slots: int = 100
     """Slots of every scene's episode."""
@@ -80,9 +75,9 @@ class Sweep:
 
 def main(sweep: Sweep) -> None:
     """Play, print, write."""
-    unknown = [name for name in sweep.regimes if name not in REGIMES]
+    unknown = [name for name in sweep.regimes if name not in (*REGIMES, *PRESETS)]
     if unknown:
-        raise ConfigError(f"regimes: {unknown[0]!r} is not known: it is one of {', '.join(REGIMES)}")
+        raise ConfigError(f"regimes: {unknown[0]!r} is not known: it is one of {', '.join((*REGIMES, *PRESETS))}")
     table = pd.DataFrame({"regime": [], "seed": []})
     if sweep.out is not None and sweep.out.exists():
         table = pd.read_csv(sweep.out)
@@ -103,7 +98,7 @@ def changed(config: Config, changes: Changes) -> Config:
 
 def judged(name: str, sweep: Sweep, seed: int) -> dict[str, str | int | float]:
     """A regime's row."""
-    config = changed(preset("office"), REGIMES[name])
+    config = preset(name) if name in PRESETS else changed(preset("office"), REGIMES[name])
     config = replace(config, task=replace(config.task, slots=sweep.slots))
     spot, rng = parking.best_spot(config, seed), generator(seed, Purpose.RESAMPLING)
     rivals: dict[str, Policy] = {

@@ -16,7 +16,7 @@ from mjris.config import (
     w_to_dbm,
 )
 
-PRESETS = ["paper", "office", "demo", "classic"]
+PRESETS = ["paper", "office", "demo", "classic", "wifi", "mmwave"]
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -10,6 +10,7 @@ from mjris.assets import assets_dir
 from mjris.cli import main
 from mjris.config import ConfigError, load, preset
 from mjris.learn.policy import ACTOR, export_policy, load_policy
+from mjris.learn.provenance import PROVENANCE
 from mjris.learn.run import train
 
 OBSERVATIONS = np.random.default_rng(0).normal(size=(20, 2)).astype(np.float32)
@@ -63,5 +64,7 @@ def test_the_shipped_policy_is_of_the_office_preset():
 def test_the_export_command(tmp_path: Path, capsys):
     shipped = assets_dir() / "policies" / "office"
     main(["export", "--run", str(shipped), "--out", str(tmp_path / "copy")])
-    assert capsys.readouterr().out.split() == [str(tmp_path / "copy" / name) for name in ("config.json", ACTOR)]
+    assert capsys.readouterr().out.split() == [
+        str(tmp_path / "copy" / name) for name in ("config.json", ACTOR, PROVENANCE)
+    ]
     assert (tmp_path / "copy" / ACTOR).read_bytes() == (shipped / ACTOR).read_bytes()

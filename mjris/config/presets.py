@@ -41,15 +41,34 @@ _OFFICE = replace(
 
 _DEMO = replace(_OFFICE, federation=Federation(episodes=30, round_episodes=5))
 
-_PRESETS = {"office": _OFFICE, "paper": _PAPER, "demo": _DEMO, "classic": _CLASSIC}
+_WIFI = replace(
+    _OFFICE,
+    world=replace(_OFFICE.world, layout="office"),
+    radio=replace(_OFFICE.radio, carrier_hz=5e9, bandwidth_hz=80e6, panel_rows=16, panel_cols=16),
+    task=replace(_OFFICE.task, qos_bps=50e6),
+)
+
+_MMWAVE = replace(
+    _WIFI,
+    radio=replace(_OFFICE.radio, carrier_hz=28e9, tx_power_dbm=15.0, panel_rows=32, panel_cols=32),
+)
+
+_PRESETS = {
+    "office": _OFFICE,
+    "demo": _DEMO,
+    "wifi": _WIFI,
+    "mmwave": _MMWAVE,
+    "paper": _PAPER,
+    "classic": _CLASSIC,
+}
 
 
 def preset(name: str) -> Config:
     """A named config.
 
-    "office" is the recommended one, "demo" the same with training of minutes, "paper" the paper's literal agent, and
-    "classic" the recommended agent in the paper's radio. docs/regime.md says why. Raises `ConfigError` for any other
-    name.
+    "office" is the recommended one, "demo" the same with training of minutes, "wifi" and "mmwave" are other carriers
+    in an open office, "paper" the paper's literal agent, and "classic" the recommended agent in the paper's radio.
+    docs/regime.md says why. Raises `ConfigError` for any other name.
     """
     if name not in _PRESETS:
         raise ConfigError(f"preset: {name!r} is not known: it is one of {', '.join(_PRESETS)}")

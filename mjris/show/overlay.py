@@ -71,15 +71,14 @@ class Overlay:
         for user in range(rollout.rates_bps.shape[1]):
             draw.ellipse((left, y + 0.15 * em, left + em, y + 1.15 * em), rgb(user_colour(user)))
             draw.text((left + 1.5 * em, y), f"User {user + 1}", _INK, self._font)
-            rate = f"{rollout.rates_bps[slot, user] / 1e3:,.0f} kb/s"
-            draw.text((right - 1.6 * em, y), rate, _INK, self._font, anchor="ra")
+            draw.text((right - 1.6 * em, y), in_words(rollout.rates_bps[slot, user]), _INK, self._font, anchor="ra")
             met = rollout.qos_met[slot, user]
             mark, colour = ("✓", CLEAR) if met else ("✗", BLOCKED)
             draw.text((right, y), mark, rgb(colour), self._bold, anchor="ra")
             y += line
         y += 0.3 * line
         draw.text((left, y), "Sum", _INK, self._bold)
-        draw.text((right - 1.6 * em, y), f"{rollout.sum_rate_bps[slot] / 1e6:.2f} Mb/s", _INK, self._bold, anchor="ra")
+        draw.text((right - 1.6 * em, y), in_words(rollout.sum_rate_bps[slot]), _INK, self._bold, anchor="ra")
         y += 1.2 * line
         self._sparkline(draw, slot, (left, y, right, y + 1.6 * line))
         y += 2.1 * line
@@ -122,6 +121,14 @@ class Overlay:
             y = self._legend_top + (0.7 + row) * self._line
             draw.line((em, y, 3 * em, y), rgb(colour), max(2, round(em / 4)))
             draw.text((3.8 * em, y), words, _INK, self._font, anchor="lm")
+
+
+def in_words(rate_bps: float) -> str:
+    """A rate in the unit that suits it, with three digits or so."""
+    for unit, bps in (("Gb/s", 1e9), ("Mb/s", 1e6)):
+        if rate_bps >= bps:
+            return f"{rate_bps / bps:.{2 if rate_bps < 10 * bps else 1 if rate_bps < 100 * bps else 0}f} {unit}"
+    return f"{rate_bps / 1e3:,.0f} kb/s"
 
 
 def _font(name: str, size: float) -> ImageFont.FreeTypeFont:
