@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mjris.config import Hardware, Radio
 from mjris.radio import surface as surface_module
 from mjris.radio.links import Channels
-from mjris.radio.surface import Surface, cascade, coefficient, mean_coefficient
+from mjris.radio.surface import Surface, cascade, coefficient, mean_coefficient, power_drawn_w
 
 
 def test_effective_channel_equals_the_matrix_product():
@@ -112,3 +112,10 @@ def test_ideal_elements_are_what_they_were():
     surface = Surface.of(Radio())
     assert (surface.amplitude, surface.step_rad, surface.least) == (1.0, 0.0, 1.0)
     assert mean_coefficient(Radio(element_amplitude=0.7)) == pytest.approx((0.7, 0.49))
+
+
+def test_power_drawn_by_hand():
+    made = Hardware(board_w=4.8, elements_per_driver=8, driver_w=0.1, element_w=0.01)
+    # 400 elements have 50 drivers, 20 have 3.
+    assert power_drawn_w(made, np.array([400, 20])) == pytest.approx(4.8 + 5 + 4 + 4.8 + 0.3 + 0.2)
+    assert power_drawn_w(Hardware(), np.array([400])) == 0

@@ -28,6 +28,14 @@ class Hardware:
     """Standard deviation of what elements miss their phases by, anew whenever they are set [°]."""
     dead_share: Fraction = 0.0
     """Share of the elements that reflect nothing, which are others in every cell and stay so."""
+    board_w: NonNegative = 0.0
+    """What the controller of a panel draws [W]."""
+    elements_per_driver: Count = 8
+    """How many elements a driver sets."""
+    driver_w: NonNegative = 0.0
+    """What a driver draws [W]."""
+    element_w: NonNegative = 0.0
+    """What an element itself draws [W]."""
 
 
 @plain_errors

@@ -71,6 +71,7 @@ def _row(name: str, result: Played, rng: np.random.Generator) -> dict[str, float
         "user_rate_p5_mbps": result.user_rate_p5_bps.mean() / 1e6,
         "jain": result.jain.mean(),
         "superposing_share": result.superposing_share.mean(),
+        "mbit_per_joule": result.sum_rate_bps.mean() / (result.radiated_w.mean() + result.panels_w) / 1e6,
         "collisions": result.collisions,
         "clearance_m": result.clearance_m,
         **{f"violated_{constraint}": count for constraint, count in result.violations.items()},

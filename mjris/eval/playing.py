@@ -13,6 +13,7 @@ from mjris.eval.policies import Policy
 from mjris.planning.radio_map import penalised
 from mjris.radio.powers import best_powers
 from mjris.radio.serving import rates as rates_of
+from mjris.radio.surface import power_drawn_w
 from mjris.simulation.constraints import NAMES
 from mjris.simulation.streams import CellId
 from mjris.simulation.task import Task
@@ -45,6 +46,10 @@ class Played:
     """Smallest clearance of all scenes [m]."""
     violations: Mapping[str, int]
     """Slots of all scenes that broke each constraint, by its name."""
+    radiated_w: FloatArray
+    """What the AP sent, mean over the slots of every scene [S] [W]."""
+    panels_w: float
+    """What the panels drew [W]."""
     bound_bps: FloatArray
     """Upper bound on the sum rate over the channels of these slots [S] [bit/s]; NaN where it was not asked for."""
 
@@ -95,5 +100,7 @@ def play(config: Config, policy: Policy, scenes: int, seed: int, *, bounded: boo
         collisions=collisions,
         clearance_m=clearance,
         violations=violations,
+        radiated_w=np.stack(powers).sum(-1).mean(0),
+        panels_w=0.0 if config.task.ris == "none" else power_drawn_w(radio.surface, simulator.links.elements),
         bound_bps=np.mean(bounds, 0) if bounded else np.full(scenes, np.nan),
     )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjris.config import Radio
+from mjris.config import Hardware, Radio
 from mjris.jit.compiled import compiled, inlined, reducing
 from mjris.radio.links import Channels
 
@@ -98,6 +98,12 @@ def mean_coefficient(radio: Radio) -> Mean:
         coherent, power = float(np.real(sent * wanted.conj()).mean()), float((abs(sent) ** 2).mean())
     alive, steady = 1 - made.dead_share, math.exp(-(math.radians(made.phase_noise_deg) ** 2) / 2)
     return Mean(coherent * alive * steady, power * alive)
+
+
+def power_drawn_w(made: Hardware, counts: NDArray[np.int64]) -> float:
+    """What panels of so many elements [S] draw in all: controllers, drivers and elements [W]."""
+    drivers = -(-counts // made.elements_per_driver)
+    return float((made.board_w + made.driver_w * drivers + made.element_w * counts).sum())
 
 
 def effective_channel(surface: Surface, channels: Channels, phases_rad: FloatArray) -> ComplexArray:
