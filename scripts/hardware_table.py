@@ -3,7 +3,7 @@
 python scripts/hardware_table.py [--scenes S] [--slots T] [--seed S] [--out FILE.csv]
 
 The `office` preset with one thing taken away from it in every row. Closed forms drive to the goal of the radio map,
-with the preset's phases by ascent; the best known is that of the planner's drive. Both know what the row lets them know.
+with its phases by ascent; the best known is that of the planner's drive. Both know what the row lets them know.
 Losses are against the first row, with 95 % intervals over scenes. Prints the table as Markdown, and draws it beside the
 .csv file, as .png.
 """

@@ -35,9 +35,25 @@ def pattern(kind, exponent, cosine):
     return 2 * (exponent + 1) * cosine**exponent if cosine > 0 else 0.0
 
 
+def through_materials_db(table, distance_m, lost_db, carrier_hz):
+    """Through everything in the way, or around it as behind one obstacle."""
+    through = path_loss_db(table, distance_m, 0, carrier_hz) + lost_db
+    around = max(path_loss_db(table, distance_m, n, carrier_hz) for n in (0, 1))
+    return min(through, around) if lost_db > 0 else through
+
+
+def rician_k(radio, obstacles):
+    """Of a link behind obstacles, counted or in dB."""
+    k = 10 ** (radio.rician_k_db / 10)
+    if radio.obstacles == "materials":
+        return k * 10 ** (-obstacles / 10)
+    return 0 if obstacles else k
+
+
 def mean_gain(radio, end, panel, heading, obstacles):
     """Power gain of the link from an end to a panel, or to the AP where `heading` is None."""
-    gain = 10 ** (-path_loss_db(radio.link_table, math.dist(end, panel), obstacles, radio.carrier_hz) / 10)
+    loss = through_materials_db if radio.obstacles == "materials" else path_loss_db
+    gain = 10 ** (-loss(radio.link_table, math.dist(end, panel), obstacles, radio.carrier_hz) / 10)
     if heading is None:
         return gain
     away = [a - b for a, b in zip(end, panel, strict=True)]
@@ -192,7 +208,7 @@ def oma_rates(channel, powers, clusters, bandwidth_hz, noise_w, known=None):
 
 
 def rates_of(system, channel, powers, order=None, known=None):
-    """Rates of a `System`."""
+    """Rates of a `System`, whose bandwidth is what pilots leave of it."""
     clusters = [list(map(int, users)) for users in system.clusters]
     if system.oma:
         selected = all(sum(powers[k] > 0 for k in users) == 1 for users in clusters)

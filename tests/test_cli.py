@@ -25,7 +25,7 @@ def test_help_ends_quietly_when_its_reader_has_seen_enough():
     [
         (
             ["train", "--out", "{}/new", "--preset", "none"],
-            "preset: 'none' is not known: it is one of office, paper, demo",
+            "preset: 'none' is not known: it is one of office, demo, wifi",
         ),
         (["train", "--out", "{}/new", "--radio.num-users", "4"], "unrecognized"),
         (["train", "--out", "{}/new", "--world.layout", "{}/none.toml"], "none.toml"),

@@ -102,7 +102,7 @@ def test_a_bad_value_is_quoted():
 
 
 def test_unknown_preset_names_the_valid_ones():
-    with pytest.raises(ConfigError, match="preset: 'attic' is not known: it is one of office, paper, demo"):
+    with pytest.raises(ConfigError, match="preset: 'attic' is not known: it is one of office, demo, wifi"):
         preset("attic")
 
 
