@@ -363,22 +363,22 @@ def predicted_rates(system, radio, direct, panels):
     beam_gain, size = radio.num_antennas - len(clusters) + 1, len(clusters[0])
     if system.oma:
         share = size * radio.tx_power_w / len(direct)
-        return [radio.bandwidth_hz / size * math.log2(1 + beam_gain * gain * share) for gain in over_noise]
+        return [system.bandwidth_hz / size * math.log2(1 + beam_gain * gain * share) for gain in over_noise]
     rates = [0.0] * len(direct)
     for each in clusters:
         order = sorted(each, key=lambda user: over_noise[user])
         gain = {k: over_noise[k] * (beam_gain if k == order[-1] else 1) for k in order}
         wanted = dict.fromkeys(order, system.qos_bps)
-        powers = qos_first(gain, [order], [radio.tx_power_w / len(clusters)], wanted, radio.bandwidth_hz)
+        powers = qos_first(gain, [order], [radio.tx_power_w / len(clusters)], wanted, system.bandwidth_hz)
         for place, k in enumerate(order):
             later = sum(powers[j] for j in order[place + 1 :])
-            rates[k] = radio.bandwidth_hz * math.log2(1 + gain[k] * powers[k] / (gain[k] * later + 1))
+            rates[k] = system.bandwidth_hz * math.log2(1 + gain[k] * powers[k] / (gain[k] * later + 1))
     if min(rates) >= system.qos_bps:
         return rates
     alone, power = [0.0] * len(direct), radio.tx_power_w / len(clusters)
     for each in clusters:
         k = max(each, key=lambda user: over_noise[user])
-        alone[k] = radio.bandwidth_hz * math.log2(1 + beam_gain * over_noise[k] * power)
+        alone[k] = system.bandwidth_hz * math.log2(1 + beam_gain * over_noise[k] * power)
     return alone
 
 
