@@ -172,7 +172,9 @@ def test_beside_every_sum_rate_stands_who_gets_it():
     point |= {**spread, "user_rate_p5_kbps": 0.0, "superposing_percent": 22.0}
     points = [{**point, "x": 40.0}, {**point, "x": 20.0, "jain": 0.1}, {**point, "curve": "planner", "jain": np.nan}]
     *_, last = results.shares(pd.DataFrame(points)).splitlines()
-    assert last == ("| `classic` | mobile RIS, NOMA | 2.00 (2.00 … 2.00) | 2.0 (2.0 … 2.0) | 60.0 | 0.0 | 0.50 | 22.0 |")
+    assert last == (
+        "| `classic` | mobile RIS, NOMA | 2.00 (2.00 … 2.00) | 2.0 (2.0 … 2.0) | 60.0 | 0.0 | 0.50 | 22.0 |"
+    )
 
 
 def test_every_scale_covers_every_figure_and_keeps_what_figures_share():
