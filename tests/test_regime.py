@@ -45,9 +45,8 @@ def test_every_regime_can_be():
 
 def test_who_believes_in_sight_drives_elsewhere_where_there_are_walls_and_nowhere_else(tmp_path):
     empty = tmp_path / "empty.toml"
-    empty.write_text(
-        "room.size = [15.0, 20.0, 3.0]\nap.position = [7.5, 19.8, 2.6]\nap.facing_deg = 270.0\nrover.start = [7.5, 10.0]\n"
-    )
+    ap = "ap.position = [7.5, 19.8, 2.6]\nap.facing_deg = 270.0\n"
+    empty.write_text(f"room.size = [15.0, 20.0, 3.0]\n{ap}rover.start = [7.5, 10.0]\n")
     for layout, differ in (("practice", True), (str(empty), False)):
         config = preset("classic")
         simulator = Simulator(replace(config, world=replace(config.world, layout=layout), seed=3), 6)
