@@ -1,6 +1,7 @@
 """What cells know of their channels and of where users stand, drawn anew for every slot."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ class Knowing:
         """For links, the links of all entries of h_d, G and h_r, and the panels' rows and columns [S, 2]."""
         self._what, self._radio = config.radio.knowledge, config.radio
         self._slot_s = config.world.slot_s
+        self._all_is_known = self._what.perfect and self._what.position_error_m == 0
         self._links, self._sizes, self._streams = of, sizes, streams
         self._shapes = [part.shape for part in entries]
         self._entries = np.concatenate([part.ravel() for part in entries])
@@ -54,6 +56,8 @@ class Knowing:
     def draw(self, cells: IntArray) -> None:
         """Draw what some cells [n] are wrong about."""
         what = self._what
+        if self._all_is_known:
+            return
         for e, rng in zip(cells, self._streams.knowledge(cells), strict=True):
             if what.position_error_m > 0:
                 self._offset_m[e] = rng.normal(0, what.position_error_m, self._offset_m.shape[1:])
@@ -62,8 +66,11 @@ class Knowing:
             if what.nmse_db is not None:
                 self._error[e] = fading.complex_normal(rng, self._error.shape[1:])
 
-    def begin(self, places: Places, cells: IntArray | None = None) -> None:
-        """Begin a slot with things at these places, or in some cells [n] an episode, where nothing has moved yet."""
+    def begin(self, where: Callable[[], Places], cells: IntArray | None = None) -> None:
+        """Begin a slot with things where they are, or in some cells [n] an episode, where nothing has moved yet."""
+        if self._what.age_s == 0:
+            return
+        places = where()
         if self._before is None or cells is None:
             self._before = Places(*(part.copy() for part in places))
             return

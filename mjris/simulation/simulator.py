@@ -103,7 +103,7 @@ class Simulator:
         self.order[cells] = -1
         self.slots[cells] = 0
         self._knowing.draw(cells)
-        self._knowing.begin(self._places(), cells)
+        self._knowing.begin(self._places, cells)
         return self._look()
 
     def random_phases(self) -> FloatArray:
@@ -133,7 +133,7 @@ class Simulator:
         if self.config.radio.fading_memory < 1:
             fresh = self._draw_diffuse(np.arange(cells))
         before, parts = self.world.fleet.xy, [self.scene]
-        self._knowing.begin(self._places())
+        self._knowing.begin(self._places)
 
         def on_tick() -> None:
             share = len(parts) / self.config.world.ticks_per_slot
@@ -298,7 +298,7 @@ class Simulator:
 
     def look(self) -> Scene:
         """See the scene anew after rovers or people were placed by hand, the panels turned to their bisectors."""
-        self._knowing.begin(self._places())
+        self._knowing.begin(self._places)
         return self._look()
 
     def _look(self) -> Scene:
